@@ -126,7 +126,7 @@ void global_shutter(::benchmark::State& state) {
   const int threads = static_cast<int>(state.range(3));
   for (auto _ : state) {
     const GlobalShutterMap map = global_shutter_map(field, camera, *scene.motion, exposure, reference_ns, threads);
-    ::benchmark::DoNotOptimize(to_global_shutter(scene.frame, map, ImageBorder::BLACK, threads));
+    ::benchmark::DoNotOptimize(to_global_shutter(scene.frame, map, threads));
   }
 }
 

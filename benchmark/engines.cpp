@@ -88,7 +88,7 @@ void Filter2dEngine::filter_blocks(const cv::Mat& src, const FilterGrid& grid, c
     } else {
       cv::filter2D(from, block_result, CV_8U, kernels[i]);
     }
-    seams.store(blocks[i], block_result.data, dst);
+    seams.store(blocks[i], block_result, dst);
   }
 }
 

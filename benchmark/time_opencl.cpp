@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdio>
 #include <map>
+#include <memory>
 #include <string>
 #include <thread>
 #include <utility>
@@ -41,8 +42,8 @@ void run(const Arguments& arguments) {
   const cv::Mat image = extend(natural_images().front(), size);
   for (const int threads : arguments.threads) {
     const Stopwatch opening;
-    OpenClEngine engine(arguments.device, threads);
-    std::printf("\n%s, opened in %.0f ms; %dx%d, %d thread%s, median ms\n%9s %8s", engine.name().c_str(), opening.ms(),
+    const std::unique_ptr<OpenClEngine> engine = make_opencl_engine(arguments.device, threads);
+    std::printf("\n%s, opened in %.0f ms; %dx%d, %d thread%s, median ms\n%9s %8s", engine->name().c_str(), opening.ms(),
                 size.width, size.height, threads, threads > 1 ? "s" : "", "extent", "whole");
     for (const auto& [name, part] : kParts) std::printf(" %8s", name);
     std::printf("\n");
@@ -56,10 +57,10 @@ void run(const Arguments& arguments) {
       for (int round = -kWarmUp; round < arguments.rounds; ++round) {
         std::this_thread::sleep_for(std::chrono::milliseconds(arguments.pause_ms));
         const Stopwatch watch;
-        deconvolve(image, PixelLayout::GRAY, field, bank, engine, dst);
+        deconvolve(image, PixelLayout::GRAY, field, bank, *engine, dst);
         if (round < 0) continue;
         whole_ms.push_back(watch.ms());
-        for (const auto& [name, part] : kParts) parts_ms[name].push_back(engine.last_times().*part);
+        for (const auto& [name, part] : kParts) parts_ms[name].push_back(engine->last_times().*part);
       }
       std::printf("%6.0f px %8.3f", extent_px, median(whole_ms));
       for (const auto& [name, part] : kParts) std::printf(" %8.3f", median(parts_ms[name]));

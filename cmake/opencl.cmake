@@ -19,8 +19,7 @@ if(GYRO_DEBLUR_OPENCL)
             -D VARIABLE=kLineConvolutionSource -P ${embed_script}
     DEPENDS ${opencl_source} ${embed_script}
     COMMENT "Embedding line_convolution.cl" VERBATIM)
-  target_sources(gyro_deblur_engine PRIVATE
-    ${opencl_folder}/opencl_devices.cpp ${opencl_folder}/opencl_engine.cpp ${embedded_source})
+  target_sources(gyro_deblur_engine PRIVATE ${opencl_folder}/opencl_engine.cpp ${embedded_source})
   target_include_directories(gyro_deblur_engine SYSTEM PRIVATE ${GYRO_DEBLUR_OPENCL_CXX_DIR})
   target_link_libraries(gyro_deblur_engine PRIVATE OpenCL::OpenCL)
 else()

@@ -183,7 +183,7 @@ Outcome outcome_of(const Arguments& arguments, Footage& footage, const Light& li
                                     imu[next].specific_force_m_s2));
     }
     given.info.header = make_header(to_ros_time(stamp_ns), "camera");
-    processor.add_image(boost::make_shared<sensor_msgs::Image>(image_message(given.info.header, image, "mono8")));
+    processor.add_image(to_image(image, given.info.header, "mono8"));
     processor.add_camera_info(boost::make_shared<sensor_msgs::CameraInfo>(given.info));
     now_ns += config.input_timeout_ns;
     processor.advance([&](FrameOutput&& output) {

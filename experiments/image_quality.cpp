@@ -176,7 +176,7 @@ void count_exposure(const Shot& shot, TimeNs exposure_ns, std::size_t view, std:
           static_cast<double>(std::count_if(moved.keypoints.begin(), moved.keypoints.end(),
                                             [&](const cv::KeyPoint& corner) { return is_repeated(corner, sharp); }));
       if (exposure_ns != NoiseLaw::kNoiseOfNs) continue;
-      auto terms = exposure_terms(result.field, assess_quality(result.field), BlurFieldOptions(), NoiseModel());
+      auto terms = exposure_terms(result.field, assess_quality(result.field), BlurFieldOptions());
       if (!terms) continue;
       terms->noise = kLaws[law].shares;
       of_case.terms.push_back(*terms);

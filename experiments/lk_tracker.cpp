@@ -74,8 +74,8 @@ void LkTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera
     Track track = tracks_[i];
     const Eigen::Vector3d ray = camera.ray(to_eigen(after[i]));
     if (!ray.allFinite()) continue;
-    const auto direction =
-        rotated_ray(track.pixel_px, camera, motion, exposure_->middle(track.pixel_px.y()), exposure.middle(after[i].y));
+    const auto direction = rotated_ray(camera.ray(track.pixel_px), motion, exposure_->middle(track.pixel_px.y()),
+                                       exposure.middle(after[i].y));
     ideal_before.push_back(to_cv(focal_px * direction.value_or(camera.ray(track.pixel_px)).hnormalized()));
     ideal_after.push_back(to_cv(focal_px * ray.hnormalized()));
     track.pixel_px = to_eigen(after[i]);

@@ -20,7 +20,7 @@
 #include "baselines.hpp"
 #include "burst.hpp"
 #include "evaluation.hpp"
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "sim/simulator.hpp"
 #include "tools/output_file.hpp"

@@ -11,10 +11,10 @@
 
 #include <opencv2/imgcodecs.hpp>
 
-#include "base/median.hpp"
 #include "baselines.hpp"
+#include "blur/frame_quality.hpp"
 #include "feature_files.hpp"
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "sim/simulator.hpp"
 #include "tools/progress.hpp"
@@ -48,12 +48,6 @@ void drop_weak(Features& features) {
                                 [](const cv::KeyPoint& keypoint) { return keypoint.response < kPeakThreshold; });
   keypoints.erase(end, keypoints.end());
   features.descriptors.resize(keypoints.size());
-}
-
-double median_extent_px(const FrameBlur& field) {
-  std::vector<double> extents;
-  for (const BlockBlur& block : field.blocks) extents.push_back(block.extent_px);
-  return median(extents);
 }
 
 std::string frame_name(int i) {
@@ -123,7 +117,7 @@ void run(const Arguments& arguments) {
     truth << i << ',' << t_s << ',' << pose.R_world_cam.w() << ',' << pose.R_world_cam.x() << ','
           << pose.R_world_cam.y() << ',' << pose.R_world_cam.z() << ',' << pose.p_world_m.x() << ','
           << pose.p_world_m.y() << ',' << pose.p_world_m.z() << ',' << simulator.scene().motion->rate(t_s).norm() << ','
-          << median_extent_px(result.field) << ',' << result.field.grid.size() << ','
+          << median_extent_px(result.field, [](BlockStatus) { return true; }) << ',' << result.field.grid.size() << ','
           << result.field.count(BlockStatus::DEBLURRED) << ',' << result.field.count(BlockStatus::REJECTED) << ','
           << blurred.keypoints.size() << ',' << result.features.keypoints.size() << '\n';
     progress.done(++done);

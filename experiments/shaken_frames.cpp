@@ -4,7 +4,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 
 namespace gyro_deblur::experiments {
 namespace {

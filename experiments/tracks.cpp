@@ -18,7 +18,7 @@
 #include <Eigen/Dense>
 #include <opencv2/core.hpp>
 
-#include "base/median.hpp"
+#include "blur/frame_quality.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
@@ -74,12 +74,6 @@ struct Study {
   std::map<Key, Errors> errors;
   std::map<LengthKey, std::vector<double>> lengths;
 };
-
-double median_extent_px(const FrameBlur& field) {
-  std::vector<double> extents_px;
-  for (const BlockBlur& block : field.blocks) extents_px.push_back(block.extent_px);
-  return median(extents_px);
-}
 
 /// Compares tracks of one sequence with the truth.
 class TrackEvaluator {
@@ -186,7 +180,7 @@ void follow(Footage* footage, const Light& light, double speed, Study* study) {
     const RowExposure exposure = footage->exposure(i), short_exposure = sharp_exposure(exposure, raw.rows);
     const PipelineResult of_blurred = blurred_pipeline.process(raw, PixelLayout::GRAY, rotation, exposure, request),
                          of_sharp = sharp_pipeline.process(sharp, PixelLayout::GRAY, rotation, short_exposure, request);
-    const double extent_px = median_extent_px(of_blurred.field);
+    const double extent_px = median_extent_px(of_blurred.field, [](BlockStatus) { return true; });
     for (std::size_t m = 0; m < kMethods.size(); ++m) {
       const bool is_sharp = kMethods[m].images == Images::SHARP;
       const cv::Mat& image = is_sharp ? sharp : kMethods[m].images == Images::DEBLURRED ? of_blurred.luminance : raw;

@@ -828,7 +828,8 @@ PATH_CALLS = (
     ("ros", "decide", 5, 12, 22), ("ros", "work", 1, 37, 141), ("ros", "guarded", 2, 39, 141),
     ("ros", "Processor::advance", 3, 40.5, 141), ("ros", "next_frame", 4, 40.5, 52.5),
     ("ros", "next", 5, 40.5, 52.5), ("ros", "decide", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
-    ("ros", "Processor::process", 4, 52.9, 115), ("ros", "Processor::deblur", 5, 54, 115),
+    ("ros", "Processor::process", 4, 52.9, 115), ("ros", "examine", 5, 54, 79.5),
+    ("ros", "Processor::deblur", 5, 79.7, 115),
     ("pipeline", "estimate", 6, 55.5, 65.5), ("pipeline", "validate", 6, 69.1, 76.1),
     ("pipeline", "Pipeline::deblur", 6, 79.9, 102.4), ("ros", "add_result", 6, 102.8, 115),
     ("ros", "to_image", 7, 104, 115), ("pipeline", "deconvolve", 7, 80, 99),
@@ -844,9 +845,10 @@ PATH_STAGES = (("pipeline", "optical flow", 6.5, 55.5), ("pipeline", "blur field
                ("pipeline", "validation", 6.5, 69.1), ("pipeline", "noise", 6.5, 72.9), ("ros", "decide", 5.5, 76.5),
                ("pipeline", "keypoints", 6.5, 99.2))
 PATH_LOCKS = (
-    ("Processor::mutex_", ((0.8, 22), (37, 39), (40.8, 52.5), (66, 68.6), (116, 120), (125.6, 132))),
+    ("Processor::mutex_", ((0.8, 22), (37, 37.8), (40.8, 52.5), (66, 68.6), (116, 120), (125.6, 132))),
     ("GyroSource, InputProblems", ((2, 4.5), (13, 21), (42, 52), (117, 119), (127, 130))),
     ("StereoRig::mutex_", ((1, 2), (53.2, 54), (76.8, 79.4))),
+    ("WorkSignal::mutex_", ((21, 22), (38, 39))),
     ("SelfCalibrator::mutex_", ((41, 42), (121, 123))),
     ("OnceMap (filters)", ((80.5, 81.5), (82.3, 83.3))),
     ("threads of parallel_for", ((83.7, 84.7), (97, 98))),

@@ -52,9 +52,8 @@ class SequenceWriter {
       : output_(path), footage_(footage), imu_(footage.imu(seed)) {
     info_ = camera_info_message(footage.camera().calibration());
     const ros::Time begin = bag_time(imu_.front().t_ns, "the first IMU sample");
-    write_tf_static(output_.bag(), begin,
-                    extrinsic_message(footage.truth().scene().imu.R_cam_imu, Footage::p_imu_cam_m(), kImuFrame,
-                                      kCameraFrame, begin));
+    write_extrinsic(output_.bag(), begin, footage.truth().scene().imu.R_cam_imu, Footage::p_imu_cam_m(), kImuFrame,
+                    kCameraFrame);
   }
 
   /// @param i  frame, in order
@@ -71,7 +70,7 @@ class SequenceWriter {
                           exposure_message(info_.header, timing.exposure_ns, timing.readout_ns));
     }
     output_.bag().write("/camera/camera_info", finished, info_);
-    output_.bag().write("/camera/image_raw", finished, image_message(info_.header, image, "mono8"));
+    output_.bag().write("/camera/image_raw", finished, to_image(image, info_.header, "mono8"));
   }
 
   void finish() {

@@ -108,8 +108,7 @@ Config parse_config(const std::string& yaml, std::vector<std::string>* unknown =
 /// it cannot be read or parsed.
 Config load_config(const std::string& path, std::vector<std::string>* unknown = nullptr);
 
-/// The message for an unknown key: "KEY is not known, ignored", its present name where it has been renamed or
-/// merged, or the value that holds where it has become a constant.
+/// The message for an unknown key: "KEY is not known, ignored", or the value that holds where it is a constant.
 std::string unknown_key_message(const std::string& key);
 
 }  // namespace gyro_deblur

@@ -11,7 +11,7 @@
 namespace gyro_deblur {
 
 /// The image row and the phase of its exposure that a driver's stamp refers to. FIRST is row y = 0 of the image and
-/// LAST row N - 1, whichever row the sensor reads first.
+/// LAST row N - 1, whichever row the sensor reads first. Times are computed from the order of the values.
 enum class StampRow { FIRST, MIDDLE, LAST };
 enum class StampPhase { START, MIDDLE, END };
 
@@ -27,16 +27,15 @@ struct ShutterTiming {
 
 /// Throws OptionError "NAME = ... s is longer than the frame period ..." when rows would still be read while the next
 /// frame is: a wrong unit, most likely.
-/// @param frame_period_ns  > 0
-/// @param tolerance        > 0: share of the period by which the readout may exceed it; data sheets are rounded
-void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance = 0.1);
+/// @param frame_period_ns  > 0; the readout may exceed it by a tenth, as data sheets are rounded
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns);
 
 /// The time from frame to frame, from the stamps as they come, which scatter when a driver stamps on arrival. Lost
 /// frames make it longer.
 class FramePeriod {
  public:
   void add(TimeNs stamp_ns);
-  void clear();
+  void clear() { stamps_.clear(); }
   /// Frame period [ns], > 0: over the last frames, the median of the time from one to the frame span() later, divided
   /// by span(). Nothing before there are enough frames. A few bad stamps do not disturb it.
   std::optional<TimeNs> get() const;

@@ -57,7 +57,7 @@ class FeatureTracker {
   void set_options(const TrackerOptions& options);
 
   /// @param threads  >= 0: that corners are looked for on, at most; 0: one for each core. 1 at first.
-  void set_threads(int threads);
+  void set_threads(int threads) { threads_ = threads; }
 
   /// From the next image on no corner is on a masked pixel, and none is started whose window has one.
   /// @param mask  empty, or of the camera's size
@@ -75,24 +75,19 @@ class FeatureTracker {
   /// @param exposure   of this image; all tracks are forgotten first when it is not after the one before, or more than
   /// kLongestTrackBreakNs later
   /// @param field      of this image: its residual velocities and noise; null: not known
+  /// @param repeats    an image before showed the same picture: if the newest one did, with this exposure, its tracks
+  /// are returned as they are
   /// @return all corners in this image, longest tracks first
   /// Throws std::invalid_argument when the image, or the mask, does not fit.
   const std::vector<Track>& track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                  const RowExposure& exposure, const FrameBlur* field = nullptr);
-
-  /// The same for the picture of the newest image, which another image repeats: its corners are where they were, and
-  /// as fast. Tracks it where it was not the newest one.
-  const std::vector<Track>& track_again(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
-                                        const RowExposure& exposure, const FrameBlur* field = nullptr);
+                                  const RowExposure& exposure, const FrameBlur* field = nullptr, bool repeats = false);
 
  private:
-  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
-              const CameraMotion& motion_of_camera);
-  /// Drops those that do not agree with the epipolar geometry of the others.
-  void check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& rotated_rays);
+  void follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
   void add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera, const CameraMotion& motion);
 
   TrackerOptions options_;
+  int threads_ = 1;
   PixelMask mask_;
   cv::Mat with_used_window_;  // where corners may start; empty: everywhere, or not worked out yet
   std::int32_t next_id_ = 0;

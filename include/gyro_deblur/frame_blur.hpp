@@ -1,6 +1,7 @@
 // The blur of one image: a grid of blocks, each blurred along a straight or curved path of its own.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -67,7 +68,19 @@ class BlockGrid {
   };
   std::array<Neighbour, 4> around(const Eigen::Vector2d& pixel_px) const;
 
-  bool operator==(const BlockGrid& other) const;
+  /// Calls f(index) for a block and its neighbours, row by row.
+  template <typename F>
+  void for_each_around(int index, const F& f) const {
+    const int block_row = index / cols_, block_col = index % cols_;
+    for (int row = std::max(block_row - 1, 0); row <= std::min(block_row + 1, rows_ - 1); ++row) {
+      for (int col = std::max(block_col - 1, 0); col <= std::min(block_col + 1, cols_ - 1); ++col) {
+        f(row * cols_ + col);
+      }
+    }
+  }
+
+  /// Throws std::invalid_argument that begins with `who` unless the luminance is CV_8UC1 of the grid's size.
+  void require_luminance(const cv::Mat& luminance, const char* who) const;
 
  private:
   int width_px_ = 0, height_px_ = 0, block_size_px_ = 1, cols_ = 0, rows_ = 0;
@@ -75,9 +88,6 @@ class BlockGrid {
 
 /// Angle [rad] of an undirected line, folded into [0, pi). Finite input.
 double axial_angle(double dx, double dy);
-
-/// Difference of two axial angles [rad], in [0, pi/2].
-double axial_difference(double a_rad, double b_rad);
 
 /// Image motion of a block that the rotation does not explain: translation over depth, a moving object, a bias of the
 /// gyroscope.

@@ -25,20 +25,18 @@ struct GyroSample {
 /// Not thread-safe: its owner serialises access.
 class GyroBuffer {
  public:
-  enum class AddResult { ACCEPTED, NOT_FINITE, DUPLICATE, OUT_OF_ORDER };
-
   /// Precondition: capacity_ns > 0.
   explicit GyroBuffer(TimeNs capacity_ns);
 
-  /// Adds a sample. Samples whose rate is not finite, or that are not newer than the newest, are refused and leave the
-  /// buffer as it was.
-  AddResult add(const GyroSample& sample);
+  /// Adds a sample. False, and the buffer as it was, for a sample whose rate is not finite or that is not newer than
+  /// the newest.
+  bool add(const GyroSample& sample);
 
   /// Forgets the newest sample and returns it. Precondition: not empty.
   GyroSample drop_newest();
 
   /// Forgets everything.
-  void clear();
+  void clear() { samples_.clear(); }
 
   bool empty() const { return samples_.empty(); }
   std::size_t size() const { return samples_.size(); }
@@ -54,8 +52,6 @@ class GyroBuffer {
   TimeNs capacity_ns_;
   std::deque<GyroSample> samples_;
 };
-
-const char* to_string(GyroBuffer::AddResult result);
 
 /// Mean rate of a sensor at rest.
 struct BiasEstimate {

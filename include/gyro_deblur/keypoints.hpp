@@ -47,8 +47,6 @@ class FeatureExtractor {
   /// Keypoints are ordered by falling response; equal input gives equal output.
   Features extract(const cv::Mat& luminance, const PixelMask& mask = {});
 
-  const KeypointOptions& options() const { return options_; }
-
  private:
   KeypointOptions options_;
   cv::Ptr<cv::Feature2D> detector_;

@@ -53,9 +53,8 @@ struct ValidationOptions {
   /// objects that move by themselves, less rejects recorded blur whose path is roughly known
   /// (doc/reports/validation.md). Blocks without evidence are accepted from 0.025 on.
   double false_accept_rate = 0.1;
-  /// Constants of GRADIENT: they accept 98.6 % of truly blurred blocks at every extent (doc/reports/validation.md).
-  double tau = 6.0;             ///< [grey levels / px] that noise and compression may add
-  double tau_contrast = 200.0;  ///< [grey levels] of a step that the scene may contain
+  double tau = 6.0;             ///< constant of GRADIENT: [grey levels / px] that noise and compression may add
+  double tau_contrast = 200.0;  ///< constant of GRADIENT: [grey levels] of a step that the scene may contain
 
   double threshold(double extent_px) const { return tau + tau_contrast / extent_px; }
   void validate() const;  ///< throws OptionError
@@ -67,11 +66,11 @@ enum class Regularization {
   /// block predict. Blocks that would still become worse are passed through.
   ADAPTIVE,
   /// The taps that minimise |h * w - g|^2 + gamma (s |w'|^2 + (1 - s) |w|^2), gamma being noise_to_signal_ratio, h the
-  /// blur, g a unit pulse (the Gaussian of smoothing_px), w' the steps from tap to tap and from and to 0 at the ends,
-  /// under the condition that their sum is the filter's. The power of photographs falls with the square of the
-  /// frequency (D. J. Field, J. Opt. Soc. Am. A 4 (12), 1987), that of noise does not, so that the noise-to-signal
-  /// ratio rises with it, as |w'|^2 does. s falls linearly from 1 without blur to 0 at an extent of 36 px; whatever it
-  /// is, the ratio is gamma at 1/6 cycles/px.
+  /// blur, g a unit pulse, w' the steps from tap to tap and from and to 0 at the ends, under the condition that their
+  /// sum is the filter's. The power of photographs falls with the square of the frequency (D. J. Field, J. Opt. Soc.
+  /// Am. A 4 (12), 1987), that of noise does not, so that the noise-to-signal ratio rises with it, as |w'|^2 does. s
+  /// falls linearly from 1 without blur to 0 at an extent of 36 px; whatever it is, the ratio is gamma at 1/6
+  /// cycles/px.
   FIXED,
   /// The inverse transform of the Wiener filter with the same noise-to-signal ratio at every frequency, on as many
   /// samples (paths: on as many more as make the transform fast), as in the paper. What the filter has beyond them
@@ -82,25 +81,9 @@ enum class Regularization {
 /// Wiener kernels (paper section IV-A).
 struct FilterOptions {
   double noise_to_signal_ratio = 0.01;  ///< of the Wiener filter at 1/6 cycles/px, at least
-  /// Constant: length of the inverse kernel in extents. 8 restores at most 0.5 dB more at twice the cost
-  /// (doc/reports/experiments.md).
-  double length_factor = 4.0;
-  /// Constant: standard deviation of a Gaussian that smooths the inverse along the line. Smoothing moves deblurred
-  /// images away from sharp ones (doc/reports/experiments_real_world.md). Above 0 the kernels have no jumps at known
-  /// places, so that long extents are filtered tap by tap.
-  double smoothing_px = 0.0;
+  double length_factor = 4.0;           ///< constant: length of the inverse kernel in extents
   Regularization regularization = Regularization::ADAPTIVE;
 
-  void validate() const;  ///< throws OptionError
-};
-
-/// Noise of a sensor: the variance is read_noise^2 + photon_gain * grey level, in grey levels of an 8-bit image. Both
-/// are constants, 0: the noise is estimated from each image, which also follows a camera's automatic gain.
-struct NoiseModel {
-  double read_noise = 0;   ///< standard deviation at grey level 0
-  double photon_gain = 0;  ///< increase of the variance per grey level (photon noise)
-
-  bool is_known() const { return read_noise > 0 || photon_gain > 0; }
   void validate() const;  ///< throws OptionError
 };
 
@@ -119,8 +102,7 @@ struct KeypointOptions {
 struct TrackerOptions {
   int max_tracks = 150;
   /// Constant: distance from the image's edge within which no track starts, at most a quarter of the image's height or
-  /// width. Nearer to the edge a shake ends most tracks within a few images (doc/reports/slam.md). Tracks are followed
-  /// to the edge itself.
+  /// width. Tracks are followed to the edge itself.
   int border_px = 32;
   double min_distance_px = 30;     ///< between two tracks
   double max_round_trip_px = 1.0;  ///< constant: how far from its start a corner may end up when tracked back
@@ -131,14 +113,8 @@ struct TrackerOptions {
   void validate() const;  ///< throws OptionError
 };
 
-/// The instant at which rectified keypoints, and the global-shutter image, hold.
+/// The instant at which rectified keypoints, and the global-shutter image, hold. The rows have the order of StampRow.
 enum class RectifyTo { FIRST_ROW, MIDDLE_ROW, LAST_ROW, STAMP };
-
-/// What a global-shutter image has where the rolling-shutter one ends.
-enum class ImageBorder {
-  BLACK,
-  REPLICATE  ///< the nearest pixel
-};
 
 /// What to do when the blur contradicts a given exposure time for seconds.
 enum class OnExposureConflict {
@@ -164,7 +140,6 @@ struct PipelineOptions {
   BlurFieldOptions blur_field;
   ValidationOptions validation;
   FilterOptions filter;
-  NoiseModel noise;
   KeypointOptions keypoints;
   bool optical_flow = true;  ///< image motion that the rotation does not explain, see ResidualFlow
   /// Which frames that the gyroscope does not cover are deblurred by optical flow alone: "absent", where there is no
@@ -172,7 +147,6 @@ struct PipelineOptions {
   /// "never".
   std::string flow_without_gyro = "absent";
   RectifyTo rectify_to = RectifyTo::MIDDLE_ROW;
-  ImageBorder global_shutter_border = ImageBorder::BLACK;  ///< constant: shows where the image ends
   std::string engine = "auto";  ///< auto, cpu, fourier, float, opencl, opencl:INDEX or opencl:NAME
   int threads = 0;              ///< of this package's loops, at most; 0: one for each core
   int significant_bits = 0;     ///< of 16-bit images, 8 to 16; 0: guessed, see BitDepth

@@ -177,7 +177,6 @@ class Pipeline {
   /// mark_static_edges() for what becomes of blocks. The global-shutter image has them where they are.
   /// @param mask  empty, or of the size of the images to come
   void set_mask(const PixelMask& mask);
-  const PixelMask& mask() const;
 
   /// Name of the engine in use. Any thread may ask during process().
   std::string engine() const;

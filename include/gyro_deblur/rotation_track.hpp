@@ -64,10 +64,6 @@ class RotationTrack : public CameraMotion {
   /// From the first to the last sample (camera clock), holes included.
   TimeRange available() const;
 
-  /// Orientation of the camera at t (camera clock) relative to the origin: camera(t) -> camera(origin).
-  /// Throws std::out_of_range outside available() and beyond the first hole on either side of the origin.
-  Eigen::Quaterniond orientation(TimeNs t_ns) const;
-
  private:
   void require_covered(const TimeRange& range) const;  // throws std::out_of_range
   Eigen::Quaterniond interpolate(TimeNs t_ns) const;   // precondition: available().contains(t_ns)
@@ -80,12 +76,14 @@ class RotationTrack : public CameraMotion {
     bool follows_hole;
   };
   std::vector<Knot> knots_;
-  TimeNs origin_ns_ = 0;
   std::vector<TimeRange> holes_;  // open intervals longer than max_gap_ns or with a saturated end, camera clock
 };
 
 /// Exp: rotation vector [rad] to quaternion; exact for small angles.
 Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad);
+
+/// The matrix [v]x, which takes w to the cross product of v and w.
+Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v);
 
 /// Increment Exp(integral of w) of the body orientation over dt_s for a body rate that goes linearly from w0 to w1
 /// (Magnus expansion, local error O(dt^5)).

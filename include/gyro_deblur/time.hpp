@@ -1,6 +1,7 @@
 // Time, and stretches of it.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 namespace gyro_deblur {
@@ -9,9 +10,14 @@ namespace gyro_deblur {
 using TimeNs = std::int64_t;
 
 /// Seconds to nanoseconds, rounded to nearest. Precondition: |seconds| < 9.2e9.
-TimeNs to_ns(double seconds);
+inline TimeNs to_ns(double seconds) {
+  // Whole seconds apart: for stamps since 1970 the product seconds * 1e9 alone would lose up to 128 ns.
+  const double whole = std::floor(seconds);
+  return static_cast<TimeNs>(whole) * 1'000'000'000 + std::llround((seconds - whole) * 1e9);
+}
+
 /// Nanoseconds to seconds (exact to about 1e-16 relative).
-double to_seconds(TimeNs ns);
+inline double to_seconds(TimeNs ns) { return static_cast<double>(ns) / 1e9; }
 
 /// Closed interval [begin_ns, end_ns] of one clock; empty when begin_ns > end_ns.
 struct TimeRange {

@@ -4,7 +4,6 @@
 #include <cinttypes>
 #include <cstdarg>
 #include <cstdio>
-#include <sstream>
 
 namespace gyro_deblur {
 
@@ -28,10 +27,6 @@ std::string seconds_text(TimeNs time_ns) {
 
 std::string vector_text(const Eigen::Vector3d& v) { return format("[%.6f, %.6f, %.6f]", v.x(), v.y(), v.z()); }
 
-std::string size_text(double width, double height) {
-  std::ostringstream text;
-  text << width << "x" << height;
-  return text.str();
-}
+std::string size_text(double width, double height) { return format("%gx%g", width, height); }
 
 }  // namespace gyro_deblur

@@ -54,7 +54,8 @@ FourierPlan::FourierPlan(int size, int largest_radix)
 }
 
 FourierStages FourierPlan::stages() const {
-  return {size_, static_cast<int>(radices_.size()), radices_.data(), twiddles_.data(), places_.data()};
+  const float* twiddles_end = twiddles_.data() + twiddles_.size();
+  return {size_, static_cast<int>(radices_.size()), radices_.data(), twiddles_.data(), twiddles_end, places_.data()};
 }
 
 }  // namespace gyro_deblur

@@ -22,10 +22,11 @@ constexpr int fourier_stride(int size) { return size + 16; }
 /// A plan as the loops see it (fourier_simd.hpp).
 struct FourierStages {
   int size;
-  int count;              ///< of stages
-  const int* radices;     ///< by stage; their product is `size`
-  const float* twiddles;  ///< by stage; see FourierPlan
-  const int* places;      ///< of `size` frequencies: where a transform along one axis leaves them
+  int count;                  ///< of stages
+  const int* radices;         ///< by stage; their product is `size`
+  const float* twiddles;      ///< by stage; see FourierPlan
+  const float* twiddles_end;  ///< behind them, where those of the last stage would begin: it has none
+  const int* places;          ///< of `size` frequencies: where a transform along one axis leaves them
 };
 
 /// A tile's two axes. Rows have across.size pixels.

@@ -147,8 +147,8 @@ void run_stage(const Elements& from, const Elements& to, int size, int length, i
 /// Twiddles of a stage of runs of `length`.
 inline int count_twiddles(int length, int radix) { return 2 * (length / radix - 1) * (radix - 1); }
 
-/// All stages but the last; the first takes its elements from elsewhere. Returns the last one's twiddles.
-inline const float* run_first_stages(const FourierStages& plan, const Elements& from, const Elements& to) {
+/// All stages but the last; the first takes its elements from elsewhere.
+inline void run_first_stages(const FourierStages& plan, const Elements& from, const Elements& to) {
   const float* twiddles = plan.twiddles;
   int length = plan.size;
   for (int i = 0; i + 1 < plan.count; ++i) {
@@ -156,12 +156,11 @@ inline const float* run_first_stages(const FourierStages& plan, const Elements& 
     twiddles += count_twiddles(length, plan.radices[i]);
     length /= plan.radices[i];
   }
-  return twiddles;
 }
 
 /// The same back, from the last but one to the first, which puts its elements elsewhere.
-inline void run_first_stages_back(const FourierStages& plan, const Elements& from, const Elements& to,
-                                  const float* twiddles) {
+inline void run_first_stages_back(const FourierStages& plan, const Elements& from, const Elements& to) {
+  const float* twiddles = plan.twiddles_end;
   int length = plan.radices[plan.count - 1];
   for (int i = plan.count - 2; i >= 0; --i) {
     length *= plan.radices[i];
@@ -236,8 +235,8 @@ void transform_columns(const FourierTile& tile_plan, float* tile, float* scratch
   const Elements z = in_scratch(scratch);
   for (int col = 0; col < cols; col += kPanel) {
     const Elements columns{tile + col, tile + col + kLanes, stride};
-    const float* twiddles = run_first_stages(plan, columns, z);
-    run_stage<true>(z, z, size, last_radix, last_radix, twiddles);
+    run_first_stages(plan, columns, z);
+    run_stage<true>(z, z, size, last_radix, last_radix, plan.twiddles_end);
     // Of a + i b, a and b real: A(v) = (Z(v) + Z*(-v)) / 2, B(v) = (Z(v) - Z*(-v)) / 2i; the half waits.
     const Vector none = {};
     const Complex mean = z.load(plan.places[0]);
@@ -251,8 +250,8 @@ void transform_columns(const FourierTile& tile_plan, float* tile, float* scratch
   }
 }
 
-/// Takes kLanes rows of frequencies from the tile, and runs all stages across but the last. Returns its twiddles.
-inline const float* begin_rows(const FourierTile& tile_plan, int first_row, const float* tile, const Elements& z) {
+/// Takes kLanes rows of frequencies from the tile, and runs all stages across but the last.
+inline void begin_rows(const FourierTile& tile_plan, int first_row, const float* tile, const Elements& z) {
   const FourierStages& plan = tile_plan.across;
   const std::ptrdiff_t stride = fourier_stride(plan.size);
   const float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
@@ -260,15 +259,15 @@ inline const float* begin_rows(const FourierTile& tile_plan, int first_row, cons
     transpose(re + x, stride, z.re + x * z.step, z.step);
     transpose(im + x, stride, z.im + x * z.step, z.step);
   }
-  return run_first_stages(plan, z, z);
+  run_first_stages(plan, z, z);
 }
 
 void row_powers(const FourierTile& tile_plan, int first_row, const float* tile, float* powers, float* scratch) {
   const FourierStages& plan = tile_plan.across;
   const int last_radix = plan.radices[plan.count - 1], rows = tile_plan.down.size / 2;
   const Elements z = in_scratch(scratch);
-  const float* twiddles = begin_rows(tile_plan, first_row, tile, z);
-  run_stage<true>(z, z, plan.size, last_radix, last_radix, twiddles);
+  begin_rows(tile_plan, first_row, tile, z);
+  run_stage<true>(z, z, plan.size, last_radix, last_radix, plan.twiddles_end);
   for (int u = 0; u < plan.size; ++u) {
     const Complex twice = z.load(plan.places[u]);  // the columns' half has waited
     store(powers + static_cast<std::ptrdiff_t>(u) * rows + first_row,
@@ -283,9 +282,9 @@ void filter_rows(const FourierTile& tile_plan, int first_row, const float* gain,
   const std::ptrdiff_t stride = fourier_stride(size);
   float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
   const Elements z = in_scratch(scratch);
-  const float* twiddles = begin_rows(tile_plan, first_row, tile, z);
+  begin_rows(tile_plan, first_row, tile, z);
   run_innermost(z, size, plan.radices[plan.count - 1], gain);
-  run_first_stages_back(plan, z, z, twiddles);
+  run_first_stages_back(plan, z, z);
   for (int x = first_col / kLanes * kLanes; x < end_col; x += kLanes) {
     transpose(z.re + x * z.step, z.step, re + x, stride);
     transpose(z.im + x * z.step, z.step, im + x, stride);
@@ -299,12 +298,6 @@ void restore_columns(const FourierTile& tile_plan, int first_col, int end_col, f
   // Forward and back, an axis each, multiply by its size; the spectrum has waited for its half.
   const float scale = 0.5f / (static_cast<float>(cols) * static_cast<float>(size));
   const Elements z = in_scratch(scratch);
-  const float* end_of_twiddles = plan.twiddles;
-  int length = size;
-  for (int i = 0; i + 1 < plan.count; ++i) {
-    end_of_twiddles += count_twiddles(length, plan.radices[i]);
-    length /= plan.radices[i];
-  }
   for (int col = first_col / kPanel * kPanel; col < end_col; col += kPanel) {
     const Elements columns{tile + col, tile + col + kLanes, stride};
     const Vector none = {};
@@ -315,8 +308,8 @@ void restore_columns(const FourierTile& tile_plan, int first_col, int end_col, f
       z.store(plan.places[v], {re.re - im.im, re.im + im.re});
       z.store(plan.places[size - v], {re.re + im.im, re.im - im.re});
     }
-    run_stage<false>(z, z, size, last_radix, last_radix, end_of_twiddles);
-    run_first_stages_back(plan, z, columns, end_of_twiddles);
+    run_stage<false>(z, z, size, last_radix, last_radix, plan.twiddles_end);
+    run_first_stages_back(plan, z, columns);
   }
 }
 

@@ -1,8 +1,10 @@
 // Encodings and their pixel layouts: luminance, bit depth and colour planes of an image.
 #include "gyro_deblur/image_format.hpp"
 
+#include <array>
+#include <cstddef>
+#include <iterator>
 #include <stdexcept>
-#include <unordered_map>
 #include <utility>
 
 #include <opencv2/imgproc.hpp>
@@ -12,35 +14,33 @@
 namespace gyro_deblur {
 namespace {
 
-/// Colour of a mosaic. OpenCV names a pattern by the second row's second and third pixel, ROS by the first row's first
-/// two.
-int demosaicing(PixelLayout layout) {
-  switch (layout) {
-    case PixelLayout::BAYER_RGGB:
-      return cv::COLOR_BayerBG2BGR;
-    case PixelLayout::BAYER_BGGR:
-      return cv::COLOR_BayerRG2BGR;
-    case PixelLayout::BAYER_GBRG:
-      return cv::COLOR_BayerGR2BGR;
-    case PixelLayout::BAYER_GRBG:
-      return cv::COLOR_BayerGB2BGR;
-    default:
-      throw std::logic_error("not a mosaic");
-  }
-}
+/// What OpenCV and ROS call a layout.
+struct LayoutTraits {
+  PixelLayout layout;
+  int channels;
+  int to_gray;                           ///< conversion, of a mosaic that of its BGR image; -1: none is needed
+  int to_bgr;                            ///< conversion where pixels share colours, else -1
+  std::array<const char*, 4> encodings;  ///< of sensor_msgs; unused ones are null
+};
 
-int luminance_conversion(PixelLayout layout) {
-  switch (layout) {
-    case PixelLayout::RGB:
-      return cv::COLOR_RGB2GRAY;
-    case PixelLayout::BGRA:
-      return cv::COLOR_BGRA2GRAY;
-    case PixelLayout::RGBA:
-      return cv::COLOR_RGBA2GRAY;
-    default:
-      return cv::COLOR_BGR2GRAY;  // BGR, and what demosaicing gives
-  }
-}
+// In the order of PixelLayout. OpenCV names a mosaic by the second row's second and third pixel, ROS by the first row's
+// first two.
+constexpr LayoutTraits kLayouts[] = {
+    {PixelLayout::GRAY, 1, -1, -1, {"mono8", "mono16", "8UC1", "16UC1"}},
+    {PixelLayout::BGR, 3, cv::COLOR_BGR2GRAY, -1, {"bgr8", "bgr16", "8UC3", "16UC3"}},
+    {PixelLayout::RGB, 3, cv::COLOR_RGB2GRAY, -1, {"rgb8", "rgb16"}},
+    {PixelLayout::BGRA, 4, cv::COLOR_BGRA2GRAY, -1, {"bgra8", "bgra16"}},
+    {PixelLayout::RGBA, 4, cv::COLOR_RGBA2GRAY, -1, {"rgba8", "rgba16"}},
+    {PixelLayout::BAYER_RGGB, 1, cv::COLOR_BGR2GRAY, cv::COLOR_BayerBG2BGR, {"bayer_rggb8", "bayer_rggb16"}},
+    {PixelLayout::BAYER_BGGR, 1, cv::COLOR_BGR2GRAY, cv::COLOR_BayerRG2BGR, {"bayer_bggr8", "bayer_bggr16"}},
+    {PixelLayout::BAYER_GBRG, 1, cv::COLOR_BGR2GRAY, cv::COLOR_BayerGR2BGR, {"bayer_gbrg8", "bayer_gbrg16"}},
+    {PixelLayout::BAYER_GRBG, 1, cv::COLOR_BGR2GRAY, cv::COLOR_BayerGB2BGR, {"bayer_grbg8", "bayer_grbg16"}},
+    {PixelLayout::YUV422_UYVY, 2, -1, cv::COLOR_YUV2BGR_UYVY, {"yuv422", "uyvy"}},
+    {PixelLayout::YUV422_YUYV, 2, -1, cv::COLOR_YUV2BGR_YUYV, {"yuv422_yuy2", "yuyv"}},
+};
+static_assert(std::size(kLayouts) == static_cast<std::size_t>(PixelLayout::YUV422_YUYV) + 1);
+
+const LayoutTraits& traits_of(PixelLayout layout) { return kLayouts[static_cast<int>(layout)]; }
 
 double full_scale(int significant_bits) { return (1 << significant_bits) - 1; }
 
@@ -75,37 +75,12 @@ constexpr int kMinBayerSidePx = 3;
 }  // namespace
 
 std::optional<PixelLayout> layout_of_encoding(const std::string& encoding) {
-  static const std::unordered_map<std::string, PixelLayout> layouts = {
-      {"mono8", PixelLayout::GRAY},
-      {"mono16", PixelLayout::GRAY},
-      {"8UC1", PixelLayout::GRAY},
-      {"16UC1", PixelLayout::GRAY},
-      {"bgr8", PixelLayout::BGR},
-      {"bgr16", PixelLayout::BGR},
-      {"8UC3", PixelLayout::BGR},
-      {"16UC3", PixelLayout::BGR},
-      {"rgb8", PixelLayout::RGB},
-      {"rgb16", PixelLayout::RGB},
-      {"bgra8", PixelLayout::BGRA},
-      {"bgra16", PixelLayout::BGRA},
-      {"rgba8", PixelLayout::RGBA},
-      {"rgba16", PixelLayout::RGBA},
-      {"bayer_rggb8", PixelLayout::BAYER_RGGB},
-      {"bayer_rggb16", PixelLayout::BAYER_RGGB},
-      {"bayer_bggr8", PixelLayout::BAYER_BGGR},
-      {"bayer_bggr16", PixelLayout::BAYER_BGGR},
-      {"bayer_gbrg8", PixelLayout::BAYER_GBRG},
-      {"bayer_gbrg16", PixelLayout::BAYER_GBRG},
-      {"bayer_grbg8", PixelLayout::BAYER_GRBG},
-      {"bayer_grbg16", PixelLayout::BAYER_GRBG},
-      {"yuv422", PixelLayout::YUV422_UYVY},
-      {"uyvy", PixelLayout::YUV422_UYVY},
-      {"yuv422_yuy2", PixelLayout::YUV422_YUYV},
-      {"yuyv", PixelLayout::YUV422_YUYV},
-  };
-  const auto found = layouts.find(encoding);
-  if (found == layouts.end()) return std::nullopt;
-  return found->second;
+  for (const LayoutTraits& traits : kLayouts) {
+    for (const char* name : traits.encodings) {
+      if (name != nullptr && encoding == name) return traits.layout;
+    }
+  }
+  return std::nullopt;
 }
 
 bool is_bayer(PixelLayout layout) {
@@ -119,21 +94,7 @@ int luminance_channel(PixelLayout layout) { return layout == PixelLayout::YUV422
 
 bool shares_colors(PixelLayout layout) { return is_bayer(layout) || is_yuv422(layout); }
 
-int channels_of(PixelLayout layout) {
-  switch (layout) {
-    case PixelLayout::YUV422_UYVY:
-    case PixelLayout::YUV422_YUYV:
-      return 2;
-    case PixelLayout::BGR:
-    case PixelLayout::RGB:
-      return 3;
-    case PixelLayout::BGRA:
-    case PixelLayout::RGBA:
-      return 4;
-    default:
-      return 1;
-  }
-}
+int channels_of(PixelLayout layout) { return traits_of(layout).channels; }
 
 BitDepth::BitDepth(int significant_bits) : given_(significant_bits) {
   if (given_ == 0 || (given_ >= 8 && given_ <= 16)) return;
@@ -176,9 +137,9 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
     // OpenCV's direct conversion (COLOR_Bayer*2GRAY) makes a checkerboard of up to 8 % on a uniform colour, which
     // validation would take for sharp edges.
     gray = cv::Mat();  // it would be written into the mosaic, which has the same type
-    cv::cvtColor(to_bgr(image, layout), gray, luminance_conversion(layout));
+    cv::cvtColor(to_bgr(image, layout), gray, traits_of(layout).to_gray);
   } else if (layout != PixelLayout::GRAY) {
-    cv::cvtColor(image, gray, luminance_conversion(layout));
+    cv::cvtColor(image, gray, traits_of(layout).to_gray);
   }
   if (gray.depth() == CV_16U) {
     cv::Mat gray8;
@@ -190,12 +151,8 @@ cv::Mat luminance8(const cv::Mat& image, PixelLayout layout, int significant_bit
 
 cv::Mat to_bgr(const cv::Mat& image, PixelLayout layout) {
   cv::Mat color;
-  if (is_yuv422(layout)) {
-    cv::cvtColor(image, color, layout == PixelLayout::YUV422_UYVY ? cv::COLOR_YUV2BGR_UYVY : cv::COLOR_YUV2BGR_YUYV);
-    return color;
-  }
   const bool is_large = image.cols >= kMinBayerSidePx && image.rows >= kMinBayerSidePx;
-  cv::cvtColor(image, color, is_large ? demosaicing(layout) : cv::COLOR_GRAY2BGR);
+  cv::cvtColor(image, color, is_large || is_yuv422(layout) ? traits_of(layout).to_bgr : cv::COLOR_GRAY2BGR);
   return color;
 }
 

@@ -6,30 +6,21 @@
 
 namespace gyro_deblur {
 
-inline const Names<RectifyTo>& names_of(RectifyTo) {
-  static const Names<RectifyTo> kNames{{"middle_row", RectifyTo::MIDDLE_ROW},
-                                       {"first_row", RectifyTo::FIRST_ROW},
-                                       {"last_row", RectifyTo::LAST_ROW},
-                                       {"stamp", RectifyTo::STAMP}};
-  return kNames;
+inline Names<RectifyTo> names_of(RectifyTo) {
+  return {{"middle_row", RectifyTo::MIDDLE_ROW},
+          {"first_row", RectifyTo::FIRST_ROW},
+          {"last_row", RectifyTo::LAST_ROW},
+          {"stamp", RectifyTo::STAMP}};
 }
 
-inline const Names<ImageBorder>& names_of(ImageBorder) {
-  static const Names<ImageBorder> kNames{{"black", ImageBorder::BLACK}, {"replicate", ImageBorder::REPLICATE}};
-  return kNames;
+inline Names<Regularization> names_of(Regularization) {
+  return {{"adaptive", Regularization::ADAPTIVE}, {"fixed", Regularization::FIXED}, {"paper", Regularization::PAPER}};
 }
 
-inline const Names<Regularization>& names_of(Regularization) {
-  static const Names<Regularization> kNames{
-      {"adaptive", Regularization::ADAPTIVE}, {"fixed", Regularization::FIXED}, {"paper", Regularization::PAPER}};
-  return kNames;
-}
-
-inline const Names<ValidationRule>& names_of(ValidationRule) {
-  static const Names<ValidationRule> kNames{{"likelihood", ValidationRule::LIKELIHOOD},
-                                            {"gradient", ValidationRule::GRADIENT},
-                                            {"none", ValidationRule::NONE}};
-  return kNames;
+inline Names<ValidationRule> names_of(ValidationRule) {
+  return {{"likelihood", ValidationRule::LIKELIHOOD},
+          {"gradient", ValidationRule::GRADIENT},
+          {"none", ValidationRule::NONE}};
 }
 
 /// Those that messages name, too.
@@ -77,20 +68,6 @@ void visit(Table<FilterOptions>, V&& visitor) {
   visitor({"filter_length_factor", within(2, 8),
            "8 restores at most 0.5 dB more at twice the cost (doc/reports/experiments.md).", Change::NEVER},
           &O::length_factor);
-  visitor(
-      {"filter_smoothing", within(0, 5, "px"),
-       "Smoothing moves deblurred images away from sharp ones (doc/reports/experiments_real_world.md).", Change::NEVER},
-      &O::smoothing_px);
-}
-
-template <typename V>
-void visit(Table<NoiseModel>, V&& visitor) {
-  visitor({"read_noise", within(0, 50, "grey levels"),
-           "0: the noise is estimated from each image, also where the gain changes (doc/reports/experiments.md).",
-           Change::NEVER},
-          &NoiseModel::read_noise);
-  visitor({"photon_gain", within(0, 10, "grey levels"), "0: the noise is estimated from each image.", Change::NEVER},
-          &NoiseModel::photon_gain);
 }
 
 template <typename V>
@@ -157,7 +134,6 @@ void visit(Table<PipelineOptions>, V&& visitor) {
            Change::WHILE_RUNNING},
           &O::flow_without_gyro);
   visitor.part(&O::filter);
-  visitor.part(&O::noise);
   visitor({"engine",
            "Implementation of the filters. auto: cpu. cpu: 1-D filters for straight blur, 2-D filters for curved blur. "
            "fourier: 2-D filters for all blocks. float: like cpu, in floating point. opencl: the first GPU, otherwise "
@@ -170,8 +146,6 @@ void visit(Table<PipelineOptions>, V&& visitor) {
   visitor.part(&O::validation);
   visitor.part(&O::keypoints);
   visitor({"rectify_to", "Instant at which rectified keypoints and the global-shutter image hold."}, &O::rectify_to);
-  visitor({"global_shutter_border", "Black shows where the image ends, and the trust mask marks it.", Change::NEVER},
-          &O::global_shutter_border);
 }
 
 template <typename V>

@@ -4,9 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
-#include <sstream>
 
+#include "base/format.hpp"
 #include "base/option_table.hpp"
 #include "base/require_range.hpp"
 #include "gyro_deblur/image_format.hpp"
@@ -20,24 +19,25 @@ double next_above(double end) {
   return end == 0 ? Doubles::min() : std::nextafter(end, Doubles::infinity());
 }
 
-/// Detectors whose keypoints a descriptor cannot take. AKAZE describes in its own scale space only. ORB reads `octave`
-/// as a pyramid level, where SIFT packs octave, layer and offset into it and so asks for a pyramid of millions of
-/// levels.
-const std::vector<std::string>& refused_detectors(const std::string& descriptor) {
-  static const std::map<std::string, std::vector<std::string>> kRefused{
-      {"AKAZE", {"SIFT", "ORB", "BRISK", "GFTT", "FAST"}}, {"ORB", {"SIFT"}}};
-  static const std::vector<std::string> kNone;
-  const auto found = kRefused.find(descriptor);
-  return found == kRefused.end() ? kNone : found->second;
+/// AKAZE describes in its own scale space only. ORB reads `octave` as a pyramid level, where SIFT packs octave, layer
+/// and offset into it and so asks for a pyramid of millions of levels.
+bool can_describe(const std::string& descriptor, const std::string& detector) {
+  if (descriptor == "AKAZE") return detector == "AKAZE";
+  return descriptor != "ORB" || detector != "SIFT";
 }
 
 }  // namespace
 
 std::string to_string(const Limits& limits) {
-  std::ostringstream text;
-  text << (limits.above ? '(' : '[') << limits.min << ", " << limits.max << ']';
-  if (*limits.unit != '\0') text << ' ' << limits.unit;
-  return text.str();
+  return format("%c%g, %g]%s%s", limits.above ? '(' : '[', limits.min, limits.max, *limits.unit != '\0' ? " " : "",
+                limits.unit);
+}
+
+void require_range(const char* name, double value, double min, double max, const char* unit) {
+  if (value >= min && value <= max) return;
+  // Ten digits distinguish an open end one nanosecond from its bound.
+  throw OptionError(
+      format("%s = %.10g is outside [%.10g, %.10g]%s%s", name, value, min, max, *unit != '\0' ? " " : "", unit));
 }
 
 void require_allowed(const Row& row, double value) {
@@ -76,15 +76,12 @@ void ValidationOptions::validate() const { check_parameters(*this); }
 
 void FilterOptions::validate() const { check_parameters(*this); }
 
-void NoiseModel::validate() const { check_parameters(*this); }
-
 void KeypointOptions::validate() const {
   check_parameters(*this);
-  const std::vector<std::string>& refused = refused_detectors(descriptor);
-  if (std::find(refused.begin(), refused.end(), detector) == refused.end()) return;
+  if (can_describe(descriptor, detector)) return;
   std::string accepted;
   for (const char* name : kDetectors) {
-    if (std::find(refused.begin(), refused.end(), name) == refused.end()) accepted += std::string(" ") + name;
+    if (can_describe(descriptor, name)) accepted += std::string(" ") + name;
   }
   throw OptionError("keypoint_descriptor = \"" + descriptor +
                     "\" cannot describe the keypoints of keypoint_detector = \"" + detector + "\", only those of" +

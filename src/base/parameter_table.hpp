@@ -98,74 +98,46 @@ inline void require_allowed(const Row&, const std::vector<std::string>&) {}
 template <typename T>
 std::enable_if_t<HasNames<T>::value> require_allowed(const Row&, const T&) {}
 
-/// Ignores what documents alone need.
-struct Visitor {
+/// A visitor that calls on_member(row, pointer) for each member and on_part(pointer) for each part.
+template <typename OnMember, typename OnPart>
+struct TableVisitor {
   void group(const char*, const char* = "") const {}
-};
-
-template <typename Options>
-struct Checker : Visitor {
-  explicit Checker(const Options& checked) : options(checked) {}
-  template <typename T>
-  void operator()(const Row& row, T Options::*member) const {
-    require_allowed(row, options.*member);
+  template <typename Member>
+  void operator()(const Row& row, Member member) const {
+    on_member(row, member);
   }
   template <typename Part>
-  void part(Part Options::*member) const {
-    (options.*member).validate();
+  void part(Part member) const {
+    on_part(member);
   }
-  const Options& options;
+  OnMember on_member;
+  OnPart on_part;
 };
+template <typename OnMember, typename OnPart>
+TableVisitor(OnMember, OnPart) -> TableVisitor<OnMember, OnPart>;
 
 /// Throws OptionError when a member has a value that its row does not allow, or a part is not valid.
 template <typename Options>
 void check_parameters(const Options& options) {
-  visit(Table<Options>(), Checker<Options>(options));
+  visit(Table<Options>(), TableVisitor{[&](const Row& row, auto member) { require_allowed(row, options.*member); },
+                                       [&](auto member) { (options.*member).validate(); }});
 }
 
-template <typename Options>
-struct Comparer : Visitor {
-  Comparer(const Options& first, const Options& second) : a(first), b(second) {}
-  template <typename T>
-  void operator()(const Row&, T Options::*member) {
-    same = same && a.*member == b.*member;
-  }
-  const Options &a, &b;
-  bool same = true;
-};
-
-/// Whether all members that have rows are the same, for options without parts.
+/// Whether all members that have rows are the same, also those of parts.
 template <typename Options>
 bool same_parameters(const Options& a, const Options& b) {
-  Comparer<Options> comparer(a, b);
-  visit(Table<Options>(), comparer);
-  return comparer.same;
+  bool same = true;
+  visit(Table<Options>(), TableVisitor{[&](const Row&, auto member) { same = same && a.*member == b.*member; },
+                                       [&](auto member) { same = same && same_parameters(a.*member, b.*member); }});
+  return same;
 }
-
-template <typename Options, typename Function>
-struct ForEach : Visitor {
-  ForEach(Options& visited, Function& called) : options(visited), function(called) {}
-  template <typename Owner, typename T>
-  void operator()(const Row& row, T Owner::*member) const {
-    function(row, options.*member);
-  }
-  template <typename Owner, typename Part>
-  void part(Part Owner::*member) const;
-  Options& options;
-  Function& function;
-};
 
 /// Calls function(row, value) for all members of the options and of their parts.
 template <typename Options, typename Function>
 void for_each_parameter(Options&& options, Function&& function) {
-  using Plain = std::remove_reference_t<Options>;
-  visit(Table<std::remove_const_t<Plain>>(), ForEach<Plain, Function>(options, function));
-}
-
-template <typename Options, typename Function>
-template <typename Owner, typename Part>
-void ForEach<Options, Function>::part(Part Owner::*member) const {
-  for_each_parameter(options.*member, function);
+  visit(Table<std::decay_t<Options>>(),
+        TableVisitor{[&](const Row& row, auto member) { function(row, options.*member); },
+                     [&](auto member) { for_each_parameter(options.*member, function); }});
 }
 
 }  // namespace gyro_deblur

@@ -3,7 +3,14 @@
 
 #include <chrono>
 
+#include "gyro_deblur/time.hpp"
+
 namespace gyro_deblur {
+
+/// The machine's clock that no simulated time stops.
+inline TimeNs steady_now_ns() {
+  return std::chrono::nanoseconds(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
 
 /// Milliseconds since construction, or since the latest lap().
 class Stopwatch {

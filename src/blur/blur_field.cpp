@@ -27,15 +27,6 @@ BlockStatus status_of(double extent_px, const BlurFieldOptions& options) {
   return extent_px > options.max_extent_px ? BlockStatus::TOO_LARGE : BlockStatus::DEBLURRED;
 }
 
-}  // namespace
-
-BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options) {
-  const double extent_px = std::hypot(dx_px, dy_px);
-  return {axial_float(dx_px, dy_px), static_cast<float>(extent_px), status_of(extent_px, options)};
-}
-
-namespace {
-
 /// Extent of a path along and across a line [px], and the path along it.
 struct LineFit {
   double along_px, across_px;
@@ -87,7 +78,37 @@ float fitted_angle(const std::array<Eigen::Vector2d, kPathInstants>& path_px) {
   return axial_float(std::cos(angle_rad), std::sin(angle_rad));
 }
 
+/// Cells of a row (or column) of `cells` cells that evenly cover `size_px` pixels.
+struct CellRange {
+  int first, last;         // that overlap a block or take part in the interpolation at its centre
+  int before, after;       // whose centres enclose the block's centre
+  double weight_of_after;  // [0, 1]
+};
+
+CellRange cells_of(int begin_px, int length_px, int size_px, int cells) {
+  const double cells_per_px = static_cast<double>(cells) / size_px;
+  const double last_cell = cells - 1;
+  // Pixel i covers [i, i + 1) here, so that the image covers [0, size).
+  const double at_center = std::clamp((begin_px + 0.5 * length_px) * cells_per_px - 0.5, 0.0, last_cell);
+  CellRange range;
+  range.before = static_cast<int>(at_center);
+  range.weight_of_after = at_center - range.before;
+  // A cell without weight takes no part, whatever it holds.
+  range.after = range.weight_of_after > 0 ? range.before + 1 : range.before;
+  // The margin keeps rounding from adding a cell that only shares a border with the block.
+  constexpr double kMargin = 1e-9;
+  range.first = std::min(range.before, static_cast<int>(begin_px * cells_per_px + kMargin));
+  range.last = std::min(cells - 1, static_cast<int>(std::ceil((begin_px + length_px) * cells_per_px - kMargin)) - 1);
+  if (range.weight_of_after > 0) range.last = std::max(range.last, range.after);
+  return range;
+}
+
 }  // namespace
+
+BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& options) {
+  const double extent_px = std::hypot(dx_px, dy_px);
+  return {axial_float(dx_px, dy_px), static_cast<float>(extent_px), status_of(extent_px, options)};
+}
 
 double even_path_px(double extent_px) {
   // Measured: along a parabola the filter of a box loses equally at all extents, down to a quarter of a pixel.
@@ -204,35 +225,6 @@ FrameBlur uniform_blur_field(int width_px, int height_px, double angle_rad, doub
                       classify_blur(extent_px * std::cos(angle_rad), extent_px * std::sin(angle_rad), options));
   return field;
 }
-
-namespace {
-
-/// Cells of a row (or column) of `cells` cells that evenly cover `size_px` pixels.
-struct CellRange {
-  int first, last;         // that overlap a block or take part in the interpolation at its centre
-  int before, after;       // whose centres enclose the block's centre
-  double weight_of_after;  // [0, 1]
-};
-
-CellRange cells_of(int begin_px, int length_px, int size_px, int cells) {
-  const double cells_per_px = static_cast<double>(cells) / size_px;
-  const double last_cell = cells - 1;
-  // Pixel i covers [i, i + 1) here, so that the image covers [0, size).
-  const double at_center = std::clamp((begin_px + 0.5 * length_px) * cells_per_px - 0.5, 0.0, last_cell);
-  CellRange range;
-  range.before = static_cast<int>(at_center);
-  range.weight_of_after = at_center - range.before;
-  // A cell without weight takes no part, whatever it holds.
-  range.after = range.weight_of_after > 0 ? range.before + 1 : range.before;
-  // The margin keeps rounding from adding a cell that only shares a border with the block.
-  constexpr double kMargin = 1e-9;
-  range.first = std::min(range.before, static_cast<int>(begin_px * cells_per_px + kMargin));
-  range.last = std::min(cells - 1, static_cast<int>(std::ceil((begin_px + length_px) * cells_per_px - kMargin)) - 1);
-  if (range.weight_of_after > 0) range.last = std::max(range.last, range.after);
-  return range;
-}
-
-}  // namespace
 
 FrameBlur blur_field_from_displacement(int width_px, int height_px, const cv::Mat& dx_px, const cv::Mat& dy_px,
                                        const BlurFieldOptions& options) {

@@ -12,6 +12,7 @@
 #include "base/parallel.hpp"
 #include "blur/image_noise.hpp"
 #include "blur/spectrum_simd.hpp"
+#include "blur/squared_transfer.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -29,41 +30,17 @@ constexpr int kFineBins = 201;  // > (kBins + kBinsPerWave) kFiner
 
 using Table = std::array<float, kBins>;
 
-/// |H|^2 of a path, even between its places, at frequencies `step` cycles apart.
-template <std::size_t kPlaces>
-std::array<double, kFineBins> squared_transfer(const std::array<double, kPlaces>& places_px, double step) {
-  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
-  constexpr double kRestPx = 1e-3;  // a segment that does not move
-  std::array<std::complex<double>, kPlaces> phase, phase_step;
-  for (std::size_t k = 0; k < kPlaces; ++k) {
-    phase[k] = 1;
-    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * places_px[k]);
-  }
+std::array<double, kFineBins> squared_transfer_of(const BlockBlur& blur, double scale) {
+  constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner), kRestPx = 1e-3;
   std::array<double, kFineBins> squared;
-  squared[0] = 1;
-  for (int i = 1; i < kFineBins; ++i) {
-    for (std::size_t k = 0; k < kPlaces; ++k) phase[k] *= phase_step[k];
-    std::complex<double> sum = 0;
-    for (std::size_t k = 0; k + 1 < kPlaces; ++k) {
-      const double moved_px = places_px[k + 1] - places_px[k];
-      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
-      sum += std::abs(moved_px) < kRestPx
-                 ? middle
-                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * step * i * moved_px);
-    }
-    squared[i] = std::norm(sum) / ((kPlaces - 1.0) * (kPlaces - 1.0));
-  }
-  return squared;
-}
-
-std::array<double, kFineBins> squared_transfer(const BlockBlur& blur, double scale) {
-  constexpr double kStep = 1.0 / (kSpectrumWindow * kBinsPerWave * kFiner);
   if (!blur.nonuniform_path_px) {
-    return squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep);
+    squared_transfer(std::array<double, 2>{0, scale * blur.extent_px}, kStep, kRestPx, &squared);
+    return squared;
   }
   std::array<double, kPathInstants> places_px;
   for (int k = 0; k < kPathInstants; ++k) places_px[k] = scale * (*blur.nonuniform_path_px)[k];
-  return squared_transfer(places_px, kStep);
+  squared_transfer(places_px, kStep, kRestPx, &squared);
+  return squared;
 }
 
 /// |H|^2 of `share` times the path, as the window smears it: Hann's has a spectrum of 1/2, 1 and 1/2, whose squares
@@ -184,7 +161,7 @@ double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) c
 
   const auto bins_x = static_cast<float>(kBinsPerWave * std::cos(blur.angle_rad));
   const auto bins_y = static_cast<float>(kBinsPerWave * std::sin(blur.angle_rad));
-  const auto squared = blur.curved_path_px ? std::array<double, kFineBins>{} : squared_transfer(blur, 1.0 / shrink);
+  const auto squared = blur.curved_path_px ? std::array<double, kFineBins>{} : squared_transfer_of(blur, 1.0 / shrink);
   // What the window mixes, and a path that is not quite the predicted one: below the lobes of the longest blur.
   const double left = 0.003 / shrink;
   const auto model_of = [&](double share) {
@@ -230,17 +207,13 @@ std::vector<double> log_ratios(const FrameBlur& field, const BlurLikelihood& lik
   });
   parallel_for(grid.size(), threads, kBlocksAtATime, [&](int i) {
     if (!is_asked(i) || is_looked_at(i)) return;
-    const int row = i / grid.cols(), col = i % grid.cols();
     double sum = 0;
     int count = 0;
-    for (int y = std::max(row - 1, 0); y <= std::min(row + 1, grid.rows() - 1); ++y) {
-      for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
-        const int other = y * grid.cols() + x;
-        if (!is_asked(other) || !is_looked_at(other)) continue;
-        sum += std::clamp(ratios[other], -kMostOfOne, kMostOfOne);
-        ++count;
-      }
-    }
+    grid.for_each_around(i, [&](int other) {
+      if (!is_asked(other) || !is_looked_at(other)) return;
+      sum += std::clamp(ratios[other], -kMostOfOne, kMostOfOne);
+      ++count;
+    });
     ratios[i] = count > 0 ? sum / count : likelihood.log_ratio(grid.rect(i), field.blocks[i]);
   });
   return ratios;
@@ -260,13 +233,8 @@ std::vector<double> with_neighbours(const BlockGrid& grid, const std::vector<dou
   of_frame = std::clamp(of_frame, -kMost, kMost);
   std::vector<double> ratios = log_ratios;
   for (int i = 0; i < grid.size(); ++i) {
-    const int row = i / grid.cols(), col = i % grid.cols();
     ratios[i] += of_frame - limited(log_ratios[i]);
-    for (int y = std::max(row - 1, 0); y <= std::min(row + 1, grid.rows() - 1); ++y) {
-      for (int x = std::max(col - 1, 0); x <= std::min(col + 1, grid.cols() - 1); ++x) {
-        ratios[i] += limited(log_ratios[y * grid.cols() + x]);
-      }
-    }
+    grid.for_each_around(i, [&](int around) { ratios[i] += limited(log_ratios[around]); });
   }
   return ratios;
 }

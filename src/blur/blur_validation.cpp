@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstdint>
 #include <optional>
-#include <stdexcept>
 #include <vector>
 
 #include <opencv2/imgproc.hpp>
@@ -34,25 +33,6 @@ void strongest_of_row(const std::uint8_t* above, const std::uint8_t* here, const
   }
 }
 
-}  // namespace
-
-float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
-  constexpr double kSobelScale = 1.0 / 8;  // the Sobel pair sums to 8 on a ramp of one grey level a pixel
-  const auto dx = static_cast<float>(kSobelScale * std::cos(angle_rad));
-  const auto dy = static_cast<float>(kSobelScale * std::sin(angle_rad));
-  thread_local cv::Mat around;  // the block and the pixels next to it, replicated beyond the image
-  cv::copyMakeBorder(luminance(block), around, 1, 1, 1, 1, cv::BORDER_REPLICATE);
-  thread_local std::vector<float> strongest;  // of each column: such a loop vectorises
-  strongest.assign(block.width, 0);
-  for (int y = 0; y < block.height; ++y) {
-    strongest_of_row(around.ptr<std::uint8_t>(y), around.ptr<std::uint8_t>(y + 1), around.ptr<std::uint8_t>(y + 2),
-                     block.width, dx, dy, strongest.data());
-  }
-  return *std::max_element(strongest.begin(), strongest.end());
-}
-
-namespace {
-
 /// Ratio of REJECTED to DEBLURRED blocks above which the prediction is wrong for the whole frame. Of truly blurred
 /// blocks 1.4 % are rejected, of sharp ones 68 % or more (see ValidationOptions).
 constexpr std::size_t kOutvotingFactor = 4;
@@ -62,44 +42,20 @@ constexpr std::size_t kOutvotingFactor = 4;
 /// extrinsic) is wrong for its neighbours too.
 FrameBlur reject_outvoted(const FrameBlur& validated) {
   FrameBlur field = validated;
-  const int cols = validated.grid.cols(), rows = validated.grid.rows();
   for (int i = 0; i < validated.grid.size(); ++i) {
     if (validated.blocks[i].status != BlockStatus::DEBLURRED) continue;
     int rejected = 0, deblurred = 0;
-    for (int row = std::max(i / cols - 1, 0); row <= std::min(i / cols + 1, rows - 1); ++row) {
-      for (int col = std::max(i % cols - 1, 0); col <= std::min(i % cols + 1, cols - 1); ++col) {
-        const BlockStatus status = validated.blocks[row * cols + col].status;
-        rejected += status == BlockStatus::REJECTED ? 1 : 0;
-        deblurred += status == BlockStatus::DEBLURRED && row * cols + col != i ? 1 : 0;
-      }
-    }
+    validated.grid.for_each_around(i, [&](int other) {
+      const BlockStatus status = validated.blocks[other].status;
+      rejected += status == BlockStatus::REJECTED ? 1 : 0;
+      deblurred += status == BlockStatus::DEBLURRED && other != i ? 1 : 0;
+    });
     if (rejected > deblurred) field.blocks[i].status = BlockStatus::REJECTED;
   }
   // Hardly any prediction of the frame holds: neither do those that nothing contradicts.
-  if (field.count(BlockStatus::REJECTED) > kOutvotingFactor * field.count(BlockStatus::DEBLURRED)) {
-    for (BlockBlur& block : field.blocks) {
-      if (block.status == BlockStatus::DEBLURRED) block.status = BlockStatus::REJECTED;
-    }
-  }
+  if (field.count(BlockStatus::REJECTED) > kOutvotingFactor * field.count(BlockStatus::DEBLURRED)) field.reject_all();
   return field;
 }
-
-}  // namespace
-
-double steepest_box_px(const BlockBlur& blur) {
-  if (!blur.nonuniform_path_px) return blur.extent_px;
-  // The Sobel pair measures a step over two pixels; a box of r px reduces it to 2 / r of its height there.
-  constexpr double kWindowPx = 2;
-  double most = 0;
-  for (const double place_px : *blur.nonuniform_path_px) {
-    // The share of the exposure spent in a window is largest where the window begins or ends at a place.
-    most = std::max({most, share_within(*blur.nonuniform_path_px, place_px, place_px + kWindowPx),
-                     share_within(*blur.nonuniform_path_px, place_px - kWindowPx, place_px)});
-  }
-  return std::min<double>(blur.extent_px, kWindowPx / most);
-}
-
-namespace {
 
 FrameBlur validate_by_gradient(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                                int threads) {
@@ -148,14 +104,38 @@ FrameBlur validate_by_likelihood(const FrameBlur& field, const cv::Mat& luminanc
 
 }  // namespace
 
+float max_gradient_along(const cv::Mat& luminance, const cv::Rect& block, double angle_rad) {
+  constexpr double kSobelScale = 1.0 / 8;  // the Sobel pair sums to 8 on a ramp of one grey level a pixel
+  const auto dx = static_cast<float>(kSobelScale * std::cos(angle_rad));
+  const auto dy = static_cast<float>(kSobelScale * std::sin(angle_rad));
+  thread_local cv::Mat around;  // the block and the pixels next to it, replicated beyond the image
+  cv::copyMakeBorder(luminance(block), around, 1, 1, 1, 1, cv::BORDER_REPLICATE);
+  thread_local std::vector<float> strongest;  // of each column: such a loop vectorises
+  strongest.assign(block.width, 0);
+  for (int y = 0; y < block.height; ++y) {
+    strongest_of_row(around.ptr<std::uint8_t>(y), around.ptr<std::uint8_t>(y + 1), around.ptr<std::uint8_t>(y + 2),
+                     block.width, dx, dy, strongest.data());
+  }
+  return *std::max_element(strongest.begin(), strongest.end());
+}
+
+double steepest_box_px(const BlockBlur& blur) {
+  if (!blur.nonuniform_path_px) return blur.extent_px;
+  // The Sobel pair measures a step over two pixels; a box of r px reduces it to 2 / r of its height there.
+  constexpr double kWindowPx = 2;
+  double most = 0;
+  for (const double place_px : *blur.nonuniform_path_px) {
+    // The share of the exposure spent in a window is largest where the window begins or ends at a place.
+    most = std::max({most, share_within(*blur.nonuniform_path_px, place_px, place_px + kWindowPx),
+                     share_within(*blur.nonuniform_path_px, place_px - kWindowPx, place_px)});
+  }
+  return std::min<double>(blur.extent_px, kWindowPx / most);
+}
+
 FrameBlur validate_blur_field(const FrameBlur& field, const cv::Mat& luminance, const ValidationOptions& options,
                               int threads, std::optional<double> noise_grey_levels) {
   options.validate();
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("validation needs 8-bit luminance of the blur field's size, " +
-                                std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
-  }
+  field.grid.require_luminance(luminance, "validation");
   if (options.rule == ValidationRule::NONE) return field;
   return options.rule == ValidationRule::GRADIENT
              ? validate_by_gradient(field, luminance, options, threads)

@@ -7,7 +7,7 @@
 namespace gyro_deblur {
 
 std::optional<ExposureTerms> exposure_terms(const FrameBlur& field, const FrameQuality& quality,
-                                            const BlurFieldOptions& options, const NoiseModel& noise) {
+                                            const BlurFieldOptions& options) {
   const double relative_noise = noise_to_contrast(field);
   if (!quality.score || field.exposure_ns <= 0 || relative_noise <= 0) return std::nullopt;
   ExposureTerms terms;
@@ -15,10 +15,6 @@ std::optional<ExposureTerms> exposure_terms(const FrameBlur& field, const FrameQ
   terms.exposure_ns = field.exposure_ns;
   terms.noise_to_contrast = relative_noise;
   terms.blur_field = options;
-  if (noise.is_known()) {
-    terms.noise.reading = std::min(1.0, std::pow(noise.read_noise / *field.noise, 2));
-    terms.noise.photons = 1 - terms.noise.reading;
-  }
   return terms;
 }
 

@@ -27,11 +27,10 @@ struct ExposureTerms {
   BlurFieldOptions blur_field;   ///< which extents are deblurred
 };
 
-/// Terms of an image; nothing if its motion, noise or contrast is not known.
+/// Terms of an image; nothing if its motion, noise or contrast is not known. All noise is taken for photon noise.
 /// @param quality  of the field
-/// @param noise    of the sensor: the split into photon and read noise. Not known: all noise is taken for photon noise
 std::optional<ExposureTerms> exposure_terms(const FrameBlur& field, const FrameQuality& quality,
-                                            const BlurFieldOptions& options, const NoiseModel& noise);
+                                            const BlurFieldOptions& options);
 
 /// Expected share of an image's corners that are where they would be without blur, at another exposure time:
 /// expected_repeatability() with blur that grows and noise that falls with the exposure time.

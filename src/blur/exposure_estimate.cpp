@@ -5,8 +5,6 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
-#include <stdexcept>
-#include <string>
 #include <utility>
 #include <vector>
 
@@ -142,11 +140,7 @@ std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double f
 
 std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const cv::Mat& luminance,
                                                   std::optional<double> noise_grey_levels, int threads) {
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("the exposure needs 8-bit luminance of the blur field's size, " +
-                                std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()));
-  }
+  field.grid.require_luminance(luminance, "exposure estimation");
   if (!noise_grey_levels) noise_grey_levels = image_noise(luminance, PixelLayout::GRAY, 8, 1, {}, threads);
   // Windows are chosen for the blur that is assumed; where it is another, they are chosen again.
   constexpr int kTries = 3;

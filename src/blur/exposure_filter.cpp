@@ -86,10 +86,10 @@ void ExposureFilter::update(const Value& measured) {
 }
 
 /// From the candidate to what follows it.
-void ExposureFilter::jump(const Value& measured) {
-  const double moved = measured.log_ns - candidate_->log_ns;
-  const double since_s = to_seconds(measured.stamp_ns - candidate_->stamp_ns);
-  const double sum = candidate_->variance + measured.variance;
+void ExposureFilter::jump(const Value& from, const Value& measured) {
+  const double moved = measured.log_ns - from.log_ns;
+  const double since_s = to_seconds(measured.stamp_ns - from.stamp_ns);
+  const double sum = from.variance + measured.variance;
   const bool first = !value_;
   value_ = measured;
   if (since_s > 0 && (!first || squared(moved) > 2 * sum)) {
@@ -100,7 +100,7 @@ void ExposureFilter::jump(const Value& measured) {
     return;
   }
   value_->log_ns -= measured.variance / sum * moved;
-  value_->variance = std::max(candidate_->variance * measured.variance / sum, squared(kLeastStddev));
+  value_->variance = std::max(from.variance * measured.variance / sum, squared(kLeastStddev));
 }
 
 void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional<ExposureEstimate>& estimate,
@@ -129,9 +129,7 @@ void ExposureFilter::add(TimeNs stamp_ns, TimeNs assumed_ns, const std::optional
                  squared(kGate) * (now->variance + extra_variance() + measured.variance)) {
     update(measured);
   } else if (jumps) {
-    candidate_ = candidate;
-    jump(measured);
-    candidate_.reset();
+    jump(*candidate, measured);
   } else {
     candidate_ = measured;
     return;

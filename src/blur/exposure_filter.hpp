@@ -49,7 +49,7 @@ class ExposureFilter {
   double extra_variance() const;
   bool follows_candidate(const Value& measured) const;
   void update(const Value& measured);
-  void jump(const Value& measured);
+  void jump(const Value& from, const Value& measured);
 
   std::optional<Value> value_;          // at the last update
   std::optional<Value> candidate_;      // an estimate that contradicts it, or the first one

@@ -3,39 +3,26 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <stdexcept>
-#include <string>
+
+#include "base/format.hpp"
 
 namespace gyro_deblur {
+
 const char* to_string(BlockStatus status) {
-  switch (status) {
-    case BlockStatus::SHARP:
-      return "SHARP";
-    case BlockStatus::DEBLURRED:
-      return "DEBLURRED";
-    case BlockStatus::REJECTED:
-      return "REJECTED";
-    case BlockStatus::TOO_LARGE:
-      return "TOO_LARGE";
-    case BlockStatus::NO_GYRO:
-      return "NO_GYRO";
-    case BlockStatus::TOO_CURVED:
-      return "TOO_CURVED";
-    case BlockStatus::NOISY:
-      return "NOISY";
-    case BlockStatus::MASKED:
-      return "MASKED";
-    case BlockStatus::STATIC_EDGE:
-      return "STATIC_EDGE";
-  }
-  return "UNKNOWN";
+  static constexpr const char* kNames[]{"SHARP",      "DEBLURRED", "REJECTED", "TOO_LARGE",  "NO_GYRO",
+                                        "TOO_CURVED", "NOISY",     "MASKED",   "STATIC_EDGE"};
+  static_assert(std::size(kNames) == kBlockStatuses.size());
+  const auto i = static_cast<std::size_t>(status);
+  return i < std::size(kNames) ? kNames[i] : "UNKNOWN";
 }
 
 BlockGrid::BlockGrid(int width_px, int height_px, int block_size_px)
     : width_px_(width_px), height_px_(height_px), block_size_px_(block_size_px) {
   if (width_px < 1 || height_px < 1 || block_size_px < 1) {
-    throw std::invalid_argument("BlockGrid: " + std::to_string(width_px) + " x " + std::to_string(height_px) +
-                                " px in blocks of " + std::to_string(block_size_px) + " px: sizes must be at least 1");
+    throw std::invalid_argument(format("BlockGrid: %d x %d px in blocks of %d px: sizes must be at least 1", width_px,
+                                       height_px, block_size_px));
   }
   cols_ = (width_px - 1) / block_size_px + 1;
   rows_ = (height_px - 1) / block_size_px + 1;
@@ -81,8 +68,11 @@ std::array<BlockGrid::Neighbour, 4> BlockGrid::around(const Eigen::Vector2d& pix
            {row.second * cols_ + col.second, v * u}}};
 }
 
-bool BlockGrid::operator==(const BlockGrid& other) const {
-  return width_px_ == other.width_px_ && height_px_ == other.height_px_ && block_size_px_ == other.block_size_px_;
+void BlockGrid::require_luminance(const cv::Mat& luminance, const char* who) const {
+  if (luminance.type() == CV_8UC1 && luminance.cols == width_px_ && luminance.rows == height_px_) return;
+  throw std::invalid_argument(
+      format("%s needs 8-bit luminance of the blur field's size, %dx%d px, not OpenCV type %d of %dx%d px", who,
+             width_px_, height_px_, luminance.type(), luminance.cols, luminance.rows));
 }
 
 std::size_t FrameBlur::count(BlockStatus status) const {
@@ -114,7 +104,5 @@ double axial_angle(double dx, double dy) {
   if (angle_rad < 0) angle_rad += CV_PI;
   return angle_rad < CV_PI ? angle_rad : 0;
 }
-
-double axial_difference(double a_rad, double b_rad) { return std::abs(std::remainder(a_rad - b_rad, CV_PI)); }
 
 }  // namespace gyro_deblur

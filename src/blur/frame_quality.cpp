@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 #include <utility>
 #include <vector>
 
@@ -46,19 +47,9 @@ Eigen::Vector2d reach_of(const BlockBlur& block) {
 }  // namespace
 
 const char* to_string(QualityGrade grade) {
-  switch (grade) {
-    case QualityGrade::SHARP:
-      return "SHARP";
-    case QualityGrade::DEBLURRED:
-      return "DEBLURRED";
-    case QualityGrade::PARTLY_DEBLURRED:
-      return "PARTLY_DEBLURRED";
-    case QualityGrade::POOR:
-      return "POOR";
-    case QualityGrade::UNKNOWN:
-      return "UNKNOWN";
-  }
-  return "?";
+  static constexpr const char* kNames[]{"SHARP", "DEBLURRED", "PARTLY_DEBLURRED", "POOR", "UNKNOWN"};
+  const auto i = static_cast<std::size_t>(grade);
+  return i < std::size(kNames) ? kNames[i] : "?";
 }
 
 std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast) {

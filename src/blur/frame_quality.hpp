@@ -5,9 +5,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <utility>
+#include <vector>
 
 #include <opencv2/core.hpp>
 
+#include "base/median.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 
@@ -59,6 +62,16 @@ double noise_to_contrast(const FrameBlur& field);
 
 /// @param field  validated
 FrameQuality assess_quality(const FrameBlur& field);
+
+/// Median extent of the blocks for which keep(status) is true [px]; 0 when there are none.
+template <typename Keep>
+double median_extent_px(const FrameBlur& field, Keep keep) {
+  std::vector<float> extents_px;
+  for (const BlockBlur& block : field.blocks) {
+    if (keep(block.status)) extents_px.push_back(block.extent_px);
+  }
+  return median(std::move(extents_px));
+}
 
 /// CV_8UC1 of the field's size: 255 where the image is sharp or restored, 0 where it is not, or nothing is known of it.
 /// A deblurred pixel is restored where all that its blur has mixed is inside the image. Masked pixels have 0.

@@ -239,10 +239,4 @@ double image_contrast(const cv::Mat& image, PixelLayout layout, int significant_
   return 255 / full_scale * std::sqrt(std::max(0.0, mean_of_squares - mean * mean));
 }
 
-double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask) {
-  // Without a mask OpenCV wants none at all.
-  const double mean = mask.empty() ? cv::mean(luminance)[0] : cv::mean(luminance, mask.pixels())[0];
-  return std::sqrt(model.read_noise * model.read_noise + model.photon_gain * mean);
-}
-
 }  // namespace gyro_deblur

@@ -6,7 +6,6 @@
 #include <opencv2/core.hpp>
 
 #include "gyro_deblur/image_format.hpp"
-#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 
 namespace gyro_deblur {
@@ -27,10 +26,6 @@ namespace gyro_deblur {
 /// @param threads           at most; 0: one for each core
 std::optional<double> image_noise(const cv::Mat& image, PixelLayout layout, int significant_bits = 16, int mean_of = 1,
                                   const PixelMask& mask = {}, int threads = 1);
-
-/// The same by the sensor's model, at the mean grey level of the pixels that are used. Precondition: luminance is
-/// CV_8UC1, not empty.
-double image_noise(const cv::Mat& luminance, const NoiseModel& model, const PixelMask& mask = {});
 
 /// Standard deviation of an image's grey levels [of 8 bits], noise included, of every sixteenth pixel either way of
 /// the same channel, or plane of a mosaic. Blur reduces it little. 0 of an image without pixels.

@@ -49,30 +49,25 @@ Path2 path_of(const BlockBlur& block) {
 }
 
 /// Hann's window, scaled to keep the variance of white noise.
-std::array<float, kWindow> make_window() {
-  std::array<float, kWindow> window;
-  for (int i = 0; i < kWindow; ++i) {
-    window[i] = static_cast<float>(std::sqrt(2.0 / 3) * (1 - std::cos(2 * CV_PI * (i + 0.5) / kWindow)));
-  }
-  return window;
-}
-
 const std::array<float, kWindow>& window_weights() {
-  static const std::array<float, kWindow> kWeights = make_window();
+  static const auto kWeights = [] {
+    std::array<float, kWindow> window;
+    for (int i = 0; i < kWindow; ++i) {
+      window[i] = static_cast<float>(std::sqrt(2.0 / 3) * (1 - std::cos(2 * CV_PI * (i + 0.5) / kWindow)));
+    }
+    return window;
+  }();
   return kWeights;
-}
-
-/// Hann's window squared, summed from its begin, as shares.
-std::array<double, kWindow + 1> make_shares() {
-  std::array<double, kWindow + 1> shares{};
-  for (int i = 0; i < kWindow; ++i) shares[i + 1] = shares[i] + std::pow(window_weights()[i], 2) / kWindow;
-  return shares;
 }
 
 /// Share of a window that is `shrink` times as long and begins at first_px, by its weights squared, that lies in
 /// [begin_px, end_px).
 double share_within(int begin_px, int end_px, int first_px, int shrink) {
-  static const std::array<double, kWindow + 1> kShares = make_shares();
+  static const auto kShares = [] {
+    std::array<double, kWindow + 1> shares{};  // of the window squared, summed from its begin
+    for (int i = 0; i < kWindow; ++i) shares[i + 1] = shares[i] + std::pow(window_weights()[i], 2) / kWindow;
+    return shares;
+  }();
   return kShares[(end_px - first_px) / shrink] - kShares[(begin_px - first_px) / shrink];
 }
 

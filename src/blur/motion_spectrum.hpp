@@ -6,7 +6,6 @@
 
 #include <opencv2/core.hpp>
 
-#include "blur/path_1d.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {

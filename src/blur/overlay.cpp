@@ -3,7 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
+#include <cstddef>
+#include <iterator>
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,6 +13,7 @@
 
 #include "base/format.hpp"
 #include "base/median.hpp"
+#include "blur/frame_quality.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -31,15 +33,6 @@ cv::Point fixed_point(const Eigen::Vector2d& p) {
   return {static_cast<int>(std::lround(scaled.x())), static_cast<int>(std::lround(scaled.y()))};
 }
 
-/// Median extent of the DEBLURRED blocks; 0 when there are none.
-double median_extent_px(const FrameBlur& field) {
-  std::vector<float> extents;
-  for (const BlockBlur& blur : field.blocks) {
-    if (blur.status == BlockStatus::DEBLURRED) extents.push_back(blur.extent_px);
-  }
-  return median(extents);
-}
-
 /// Number of blocks with a residual velocity, and the median displacement by it within the exposure.
 std::string residual_text(const FrameBlur& field) {
   std::vector<double> lengths_px;
@@ -57,29 +50,20 @@ struct LegendLine {
   cv::Scalar color;
 };
 
-/// What became of blocks, in words that need no manual.
-const char* fate(BlockStatus status) {
-  switch (status) {
-    case BlockStatus::DEBLURRED:
-      return "deblurred";
-    case BlockStatus::SHARP:
-      return "sharp, unchanged";
-    case BlockStatus::REJECTED:
-      return "do not fit the image";
-    case BlockStatus::TOO_LARGE:
-      return "blurred too far";
-    case BlockStatus::NO_GYRO:
-      return "without gyroscope";
-    case BlockStatus::TOO_CURVED:
-      return "blurred along a curve";
-    case BlockStatus::NOISY:
-      return "too noisy to gain";
-    case BlockStatus::MASKED:
-      return "masked";
-    case BlockStatus::STATIC_EDGE:
-      return "at a static edge";
-  }
-  return "";
+/// What became of a block, in words that need no manual, and its colour.
+struct StatusLook {
+  const char* fate;
+  cv::Vec3b rgb;
+};
+
+const StatusLook& look_of(BlockStatus status) {
+  static const StatusLook kLooks[]{{"sharp, unchanged", {200, 200, 200}},   {"deblurred", {60, 230, 60}},
+                                   {"do not fit the image", {255, 60, 60}}, {"blurred too far", {255, 80, 255}},
+                                   {"without gyroscope", {255, 230, 0}},    {"blurred along a curve", {70, 200, 255}},
+                                   {"too noisy to gain", {140, 110, 255}},  {"masked", {90, 90, 90}},
+                                   {"at a static edge", {255, 140, 130}},   {"", {255, 255, 255}}};
+  static_assert(std::size(kLooks) == kBlockStatuses.size() + 1, "the last is that of a value beyond the enumeration");
+  return kLooks[std::min(static_cast<std::size_t>(status), kBlockStatuses.size())];
 }
 
 /// Length of the scale bar [px].
@@ -110,10 +94,11 @@ bool come_near(const BlurSegment& a, const BlurSegment& b, double gap_px) {
 
 void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale) {
   std::vector<LegendLine> lines;
-  lines.push_back({format("median blur %.1f px", median_extent_px(field)), cv::Scalar::all(255)});
+  const auto deblurred = [](BlockStatus status) { return status == BlockStatus::DEBLURRED; };
+  lines.push_back({format("median blur %.1f px", median_extent_px(field, deblurred)), cv::Scalar::all(255)});
   for (const BlockStatus status : kBlockStatuses) {
     const std::size_t count = field.count(status);
-    if (count > 0) lines.push_back({std::to_string(count) + " " + fate(status), color_bgr(status)});
+    if (count > 0) lines.push_back({std::to_string(count) + " " + look_of(status).fate, color_bgr(status)});
   }
   const std::string from_images = residual_text(field);
   if (!from_images.empty()) lines.push_back({from_images, color_bgr(residual_color_rgb())});
@@ -158,29 +143,7 @@ void draw_legend(cv::Mat& image, const FrameBlur& field, int paths, double scale
 
 }  // namespace
 
-cv::Vec3b status_color_rgb(BlockStatus status) {
-  switch (status) {
-    case BlockStatus::DEBLURRED:
-      return {60, 230, 60};
-    case BlockStatus::SHARP:
-      return {200, 200, 200};
-    case BlockStatus::REJECTED:
-      return {255, 60, 60};
-    case BlockStatus::TOO_LARGE:
-      return {255, 80, 255};
-    case BlockStatus::NO_GYRO:
-      return {255, 230, 0};
-    case BlockStatus::TOO_CURVED:
-      return {70, 200, 255};
-    case BlockStatus::NOISY:
-      return {140, 110, 255};
-    case BlockStatus::MASKED:
-      return {90, 90, 90};
-    case BlockStatus::STATIC_EDGE:
-      return {255, 140, 130};
-  }
-  return {255, 255, 255};
-}
+cv::Vec3b status_color_rgb(BlockStatus status) { return look_of(status).rgb; }
 
 BlurSegment blur_segment(const FrameBlur& field, int index) {
   const BlockBlur& blur = field.blocks.at(index);
@@ -217,13 +180,7 @@ std::vector<char> paths_apart(const FrameBlur& field, double gap_px) {
 }
 
 cv::Mat draw_overlay(const cv::Mat& luminance, const FrameBlur& field) {
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("draw_overlay: the image must be 8-bit grey of " +
-                                std::to_string(field.grid.width_px()) + " x " + std::to_string(field.grid.height_px()) +
-                                " px, but is " + std::to_string(luminance.cols) + " x " +
-                                std::to_string(luminance.rows));
-  }
+  field.grid.require_luminance(luminance, "the overlay");
   cv::Mat image;
   cv::cvtColor(luminance, image, cv::COLOR_GRAY2BGR);
   // 1 at VGA height, so that lines and text keep their share of the picture.

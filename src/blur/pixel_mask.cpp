@@ -5,9 +5,10 @@
 #include <cmath>
 #include <cstdint>
 #include <stdexcept>
-#include <string>
 
 #include <opencv2/imgproc.hpp>
+
+#include "base/format.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -42,10 +43,8 @@ bool reads_masked(const PixelMask& mask, const cv::Rect& rect, const BlockBlur& 
 
 void require_size(const PixelMask& mask, const FrameBlur& field) {
   if (mask.size() == cv::Size(field.grid.width_px(), field.grid.height_px())) return;
-  throw std::invalid_argument("mask of " + std::to_string(mask.size().width) + "x" +
-                              std::to_string(mask.size().height) + " px does not fit a blur field of " +
-                              std::to_string(field.grid.width_px()) + "x" + std::to_string(field.grid.height_px()) +
-                              " px");
+  throw std::invalid_argument(format("mask of %dx%d px does not fit a blur field of %dx%d px", mask.size().width,
+                                     mask.size().height, field.grid.width_px(), field.grid.height_px()));
 }
 
 }  // namespace

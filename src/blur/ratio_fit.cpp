@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <complex>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -12,7 +11,8 @@
 #include <Eigen/Cholesky>
 #include <opencv2/core.hpp>
 
-#include "gyro_deblur/frame_blur.hpp"
+#include "blur/path_1d.hpp"
+#include "blur/squared_transfer.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -82,37 +82,18 @@ bool is_straight(const std::array<float, kPathInstants>& path) {
 }  // namespace
 
 RatioFit::Transfer::Transfer(const std::array<float, kPathInstants>& path, double last_frequency) {
-  const auto [lowest, highest] = std::minmax_element(path.begin(), path.end());
-  const double extent = std::max(static_cast<double>(*highest) - *lowest, 1e-4);
+  const double extent = std::max(extent_of(path), 1e-4);
   if (is_straight(path)) {
     squared_ = straight_transfer();
     per_wave_ = static_cast<float>(extent / kStraightCycles);
     return;
   }
-  // The integral of exp(-i w p) over a segment from a to b is (exp(-i w a) - exp(-i w b)) / (i w (b - a)).
-  constexpr double kRest = 1e-5;  // a segment that does not move [windows]
+  constexpr double kRest = 1e-5;  // [windows]
   constexpr double kStepCycles = 1.0 / 24;
   const double step = std::min(0.5, kStepCycles / extent);
   per_wave_ = static_cast<float>(1 / step);
-  std::array<std::complex<double>, kPathInstants> phase, phase_step;
-  for (int k = 0; k < kPathInstants; ++k) {
-    phase[k] = 1;
-    phase_step[k] = std::polar(1.0, -2 * CV_PI * step * path[k]);
-  }
   std::vector<float> squared(static_cast<std::size_t>(std::ceil(last_frequency / step)) + 2);
-  squared[0] = 1;
-  for (std::size_t i = 1; i < squared.size(); ++i) {
-    for (int k = 0; k < kPathInstants; ++k) phase[k] *= phase_step[k];
-    std::complex<double> sum = 0;
-    for (int k = 0; k + 1 < kPathInstants; ++k) {
-      const double moved = path[k + 1] - path[k];
-      const std::complex<double> middle = 0.5 * (phase[k] + phase[k + 1]), end = phase[k] - phase[k + 1];
-      sum += std::abs(moved) < kRest
-                 ? middle
-                 : std::complex<double>(end.imag(), -end.real()) / (2 * CV_PI * step * static_cast<double>(i) * moved);
-    }
-    squared[i] = static_cast<float>(std::norm(sum) / ((kPathInstants - 1.0) * (kPathInstants - 1.0)));
-  }
+  squared_transfer(path, step, kRest, &squared);
   squared_ = std::make_shared<const std::vector<float>>(std::move(squared));
 }
 

@@ -85,19 +85,16 @@ void drop_lonely(cv::Mat& pairs) {
 cv::Mat connected(const cv::Mat& still, const cv::Mat& seeds) {
   cv::Mat labels;
   const int count = cv::connectedComponents(still, labels, 4, CV_32S);
-  std::vector<char> wanted(static_cast<std::size_t>(count), 0);
+  std::vector<std::uint8_t> wanted(static_cast<std::size_t>(count), 0);
   for (int y = 0; y < still.rows; ++y) {
     for (int x = 0; x < still.cols; ++x) {
-      if (seeds.at<std::uint8_t>(y, x) != 0) wanted[static_cast<std::size_t>(labels.at<int>(y, x))] = 1;
+      if (seeds.at<std::uint8_t>(y, x) != 0) wanted[static_cast<std::size_t>(labels.at<int>(y, x))] = 255;
     }
   }
   wanted[0] = 0;  // what does not stand still
   cv::Mat cells(still.size(), CV_8UC1);
-  for (int y = 0; y < still.rows; ++y) {
-    for (int x = 0; x < still.cols; ++x) {
-      cells.at<std::uint8_t>(y, x) = wanted[static_cast<std::size_t>(labels.at<int>(y, x))] != 0 ? 255 : 0;
-    }
-  }
+  std::transform(labels.begin<int>(), labels.end<int>(), cells.begin<std::uint8_t>(),
+                 [&](int label) { return wanted[static_cast<std::size_t>(label)]; });
   return cells;
 }
 

@@ -35,19 +35,19 @@ std::vector<double> cauchy_weights(const std::vector<double>& errors, double lea
   return weights;
 }
 
-RayRotation robust_rotation(const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to) {
-  constexpr int kIterations = 5;
-  RayRotation rotation;
+Eigen::Matrix3d robust_rotation(const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to,
+                                int iterations, Eigen::Matrix3d* moment) {
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> weights(from.size(), 1.0), errors(from.size());
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
-    for (std::size_t i = 0; i < from.size(); ++i) moment += weights[i] * to[i] * from[i].transpose();
-    rotation.R = solve_wahba(moment);
-    for (std::size_t i = 0; i < from.size(); ++i) errors[i] = (to[i] - rotation.R * from[i]).norm();
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    Eigen::Matrix3d weighted = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < from.size(); ++i) weighted += weights[i] * to[i] * from[i].transpose();
+    R = solve_wahba(weighted);
+    for (std::size_t i = 0; i < from.size(); ++i) errors[i] = (to[i] - R * from[i]).norm();
     weights = cauchy_weights(errors);
+    if (moment != nullptr) *moment = weighted;
   }
-  rotation.median_error = median(errors);
-  return rotation;
+  return R;
 }
 
 }  // namespace gyro_deblur

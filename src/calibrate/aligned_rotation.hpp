@@ -21,13 +21,9 @@ double wahba_trace(const Eigen::Matrix3d& moment);
 /// @param least_scale  > 0
 std::vector<double> cauchy_weights(const std::vector<double>& errors, double least_scale = 1e-6);
 
-/// A rotation, and how far directions are from it.
-struct RayRotation {
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
-  double median_error = 0;  ///< of unit vectors [rad]
-};
-
-/// The rotation that takes unit vectors to others. Weights keep what disagrees from counting.
-RayRotation robust_rotation(const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to);
+/// The rotation that takes vectors to others. Weights keep what disagrees from counting.
+/// @param moment  [out] of solve_wahba(), with the last weights; not written if null
+Eigen::Matrix3d robust_rotation(const std::vector<Eigen::Vector3d>& from, const std::vector<Eigen::Vector3d>& to,
+                                int iterations = 5, Eigen::Matrix3d* moment = nullptr);
 
 }  // namespace gyro_deblur

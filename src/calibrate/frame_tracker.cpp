@@ -11,7 +11,6 @@
 
 #include "base/require_range.hpp"
 #include "features/corner_following.hpp"
-#include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -19,6 +18,10 @@ namespace {
 constexpr int kPatchPx = 21;
 /// With the window above, steps of about 300 px from frame to frame are followed.
 constexpr int kPyramidLevels = 4;
+/// Frames that a window has at most.
+constexpr std::size_t kWindowFrames = 4;
+/// How far from its start a point may end up when followed back.
+constexpr double kMaxReturnPx = 0.3;
 
 const cv::TermCriteria& until() {
   static const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.003);
@@ -82,7 +85,7 @@ cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
 /// grows pulls its point along, and all points of a surface in the same way.
 /// @param to  [in] where they are to within some pixels [out]
 std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
-                        double max_return_px, std::vector<cv::Point2f>* to) {
+                        std::vector<cv::Point2f>* to) {
   if (from.empty()) return {};
   const std::vector<cv::Matx22d> distortions = local_distortions(from, *to);
   const std::vector<cv::Matx22d> none(from.size(), cv::Matx22d::eye());
@@ -93,7 +96,7 @@ std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, cons
   }
   FollowedCorners followed =
       follow_there_and_back(corner_pyramid(from_tiles, kPatchPx, 0), corner_pyramid(to_tiles, kPatchPx, 0), centers,
-                            centers, {kPatchPx, 0, until(), max_return_px});
+                            centers, {kPatchPx, 0, until(), kMaxReturnPx});
   for (std::size_t i = 0; i < from.size(); ++i) {
     const cv::Point2f& found = followed.places[i];
     const cv::Vec2d moved = distortions[i] * cv::Vec2d(found.x - centers[i].x, found.y - centers[i].y);
@@ -104,13 +107,9 @@ std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, cons
 
 }  // namespace
 
-void FrameTrackerOptions::validate() const {
+FrameTracker::FrameTracker(int max_points) : max_points_(max_points) {
   require_range("max_points", max_points, 10, 10000);
-  require_range("window_frames", window_frames, 2, 20);
-  require_range("max_return", max_return_px, 1e-6, 10, "px");
 }
-
-FrameTracker::FrameTracker(const FrameTrackerOptions& options) : options_(options) { options.validate(); }
 
 void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
   if (luminance.type() != CV_8UC1 || luminance.empty() || (!size_.empty() && luminance.size() != size_)) {
@@ -122,10 +121,7 @@ void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
     windows_[anchor.window].frames.push_back(time);
     follow(&anchor, pyramid, luminance.size());
   }
-  if (!growing_.empty() &&
-      windows_[growing_.front().window].frames.size() >= static_cast<std::size_t>(options_.window_frames)) {
-    growing_.pop_front();
-  }
+  if (!growing_.empty() && windows_[growing_.front().window].frames.size() >= kWindowFrames) growing_.pop_front();
   start(time, luminance, pyramid);
   previous_ = std::move(pyramid);
 }
@@ -133,9 +129,9 @@ void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
 void FrameTracker::start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid) {
   constexpr double kQuality = 0.01;
   // Spread over the image: rows are what a rolling shutter is seen in.
-  const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(luminance.total()) / options_.max_points);
+  const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(luminance.total()) / max_points_);
   Anchor anchor{windows_.size(), pyramid, {}, {}, {}};
-  cv::goodFeaturesToTrack(luminance, anchor.points, options_.max_points, kQuality, min_distance_px);
+  cv::goodFeaturesToTrack(luminance, anchor.points, max_points_, kQuality, min_distance_px);
   TrackWindow window;
   window.frames = {time};
   if (!anchor.points.empty()) cv::cornerSubPix(luminance, anchor.points, cv::Size(3, 3), cv::Size(-1, -1), until());
@@ -163,10 +159,10 @@ void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, c
     to->resize(kept);
   };
   FollowedCorners followed = follow_there_and_back(previous_, pyramid, anchor->last, anchor->last,
-                                                   {kPatchPx, kPyramidLevels, until(), options_.max_return_px});
+                                                   {kPatchPx, kPyramidLevels, until(), kMaxReturnPx});
   std::vector<cv::Point2f>& to = followed.places;
   keep(followed.found, &to);
-  std::vector<char> good = align(anchor->pyramid[0], pyramid[0], anchor->points, options_.max_return_px, &to);
+  std::vector<char> good = align(anchor->pyramid[0], pyramid[0], anchor->points, &to);
   // What is beyond the border is made up.
   const int reach = kPatchPx / 2;
   const cv::Rect2f inside(static_cast<float>(reach), static_cast<float>(reach),

@@ -29,20 +29,13 @@ struct TrackWindow {
   std::vector<PointTrack> tracks;  ///< each in the second frame at least
 };
 
-struct FrameTrackerOptions {
-  int max_points = 200;        ///< [10, 10000] of each window
-  int window_frames = 4;       ///< [2, 20] that a window has at most
-  double max_return_px = 0.3;  ///< (0, 10]: a point tracked there and back must come back to within this
-
-  void validate() const;  ///< throws OptionError
-};
-
 /// Follows corners by pyramidal Lucas-Kanade, there and back as a check. Every frame starts a window with corners of
 /// its own; what is found in later frames is aligned with its surroundings in the first, so that no drift builds up.
 class FrameTracker {
  public:
+  /// @param max_points  [10, 10000] of each window
   /// Throws OptionError.
-  explicit FrameTracker(const FrameTrackerOptions& options = {});
+  explicit FrameTracker(int max_points = 200);
 
   /// @param luminance  CV_8UC1, all of the same size
   /// Throws std::invalid_argument for another type or size.
@@ -65,7 +58,7 @@ class FrameTracker {
   void start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid);
   void follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size);
 
-  FrameTrackerOptions options_;
+  int max_points_;
   std::vector<TrackWindow> windows_;
   std::deque<Anchor> growing_;
   std::vector<cv::Mat> previous_;  ///< pyramid of the frame before

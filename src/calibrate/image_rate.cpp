@@ -54,8 +54,7 @@ struct RayMotion {
 /// along the latter by as much as its own depth differs: there it counts less.
 class RayMotionFit {
  public:
-  /// @param translation_stddev  of a component, over the scene's depth, > 0: how far the camera goes, as far as is
-  /// known
+  /// @param translation_stddev  > 0: of a component, over the scene's depth, as far as it is known
   /// @param floor_rad           > 0: of a direction
   RayMotionFit(const std::vector<MovedRay>& rays, double translation_stddev, double floor_rad)
       : columns_(rays.size()),
@@ -69,7 +68,7 @@ class RayMotionFit {
       to.push_back(ray.to);
       rows_.push_back(ray.row);
     }
-    R_ = robust_rotation(from, to).R;
+    R_ = robust_rotation(from, to);
     for (std::size_t i = 0; i < rays.size(); ++i) {
       const Eigen::Vector3d ray = R_ * from[i];
       Eigen::Matrix<double, 2, 3> across;
@@ -152,17 +151,14 @@ struct MovedPixel {
 };
 
 /// How the pixels of an unknown lens moved: as by a rotation, whose effect at the image's middle is the rate times the
-/// focal length, and grows by the square of the distance from there as the lens wants; and by a motion forward.
-struct PixelMotion {
-  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();  ///< of the camera, about x and y times the focal length
-  Eigen::Matrix3d by_rows = Eigen::Matrix3d::Zero();   ///< see ImageRate
-  double stddev = 0;
-};
-
-/// Least squares with Cauchy's weights.
+/// focal length, and grows by the square of the distance from there as the lens wants; and by a motion forward. Least
+/// squares with Cauchy's weights.
 /// @param focal_length  a guess, for by_rows alone
 /// @param floor         > 0: error of a pixel
-PixelMotion fit_pixel_motion(const std::vector<MovedPixel>& pixels, double focal_length, double floor) {
+/// @param step_s        > 0: from image to image
+/// @param rate          [out] its rate, by_rows and standard deviation, see ImageRate::lens_known
+void fit_pixel_motion(const std::vector<MovedPixel>& pixels, double focal_length, double floor, double step_s,
+                      ImageRate* rate) {
   using Normal = Eigen::Matrix<double, 6, 6>;
   constexpr int kSteps = 5;
   constexpr double kRidge = 1e-6;
@@ -177,7 +173,6 @@ PixelMotion fit_pixel_motion(const std::vector<MovedPixel>& pixels, double focal
   Eigen::Matrix<double, 6, 3> of_rotation = Eigen::Matrix<double, 6, 3>::Identity();
   of_rotation(3, 1) = -1 / (focal_length * focal_length);
   of_rotation(4, 0) = 1 / (focal_length * focal_length);
-  PixelMotion result;
   std::vector<double> weights(pixels.size(), 1), errors(pixels.size());
   for (int step = 0; step < kSteps; ++step) {
     Normal normal = kRidge * Normal::Identity();
@@ -193,13 +188,14 @@ PixelMotion fit_pixel_motion(const std::vector<MovedPixel>& pixels, double focal
     const Eigen::Matrix<double, 6, 1> motion = covariance * right;
     for (std::size_t i = 0; i < pixels.size(); ++i) errors[i] = (pixels[i].moved - columns[i] * motion).norm();
     const double scatter = std::max(median(errors) / kMedianOfPlane, floor);
-    result.rotation = motion.head<3>();
-    result.by_rows = (covariance * by_rows).topRows<3>();
+    rate->rate_rad_s = motion.head<3>() / step_s;
+    rate->by_rows = (covariance * by_rows).topRows<3>();
     const Eigen::Matrix3d of_rates = covariance.topLeftCorner<3, 3>();
-    result.stddev = scatter * std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(of_rates).eigenvalues()[2]);
+    const double stddev =
+        scatter * std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(of_rates).eigenvalues()[2]);
+    rate->stddev_rad_s = std::hypot(stddev, floor) / step_s;
     weights = cauchy_weights(errors, floor);
   }
-  return result;
 }
 
 double larger_side_px(const CameraCalibration& calibration) {
@@ -228,15 +224,6 @@ Predicted predict(const std::vector<cv::Point2f>& corners, const Camera& camera,
   return predicted;
 }
 
-/// What pixels show where nothing is known of the lens: rates in the image's larger side.
-void set_pixel_motion(const PixelMotion& motion, double step_s, double larger_px, double floor, ImageRate* rate) {
-  rate->rate_rad_s = motion.rotation / step_s;
-  rate->by_rows = motion.by_rows;
-  rate->stddev_rad_s = std::hypot(motion.stddev, floor) / step_s;
-  rate->lens_known = false;
-  rate->larger_side_px = static_cast<int>(larger_px);
-}
-
 }  // namespace
 
 void ImageRateTracker::set_mask(const PixelMask& mask) {
@@ -251,14 +238,6 @@ void ImageRateTracker::reset() {
   exposure_.reset();
   rate_rad_s_.setZero();
   translation_rad_s_ = kFirstTranslationRadS;
-}
-
-void ImageRateTracker::shrink_mask(const cv::Size& size) {
-  if (mask_.empty() || usable_.size() == size) return;
-  constexpr int kWholly = 255;
-  cv::Mat share;
-  cv::resize(mask_.pixels(), share, size, 0, 0, cv::INTER_AREA);
-  cv::erode(share == kWholly, usable_, cv::getStructuringElement(cv::MORPH_RECT, {kWindowPx, kWindowPx}));
 }
 
 std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const Camera& camera,
@@ -277,7 +256,9 @@ std::optional<ImageRate> ImageRateTracker::add(const cv::Mat& luminance, const C
   on_one_thread([&] {
     cv::Mat small = luminance;
     for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) small = downsample2x(small, 1);
-    shrink_mask(small.size());
+    if (!mask_.empty() && usable_.size() != small.size()) {
+      usable_ = shrink_mask(mask_.pixels(), small.size(), kWindowPx);
+    }
     std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
     if (exposure_) rate = follow(pyramid, camera, exposure, lens_known);
     const double min_distance_px = 0.6 * std::sqrt(static_cast<double>(small.total()) / kMostCorners);
@@ -333,9 +314,10 @@ std::optional<ImageRate> ImageRateTracker::follow(const std::vector<cv::Mat>& py
   if (moved.size() < kFewestPoints || static_cast<double>(moved.size()) < kLeastFollowed * before.size()) return {};
   rate.speed_rad_s = median(speeds_rad_s);
   if (!lens_known) {
-    const double floor = scale_ * kFloorPx / larger_px;
-    set_pixel_motion(fit_pixel_motion(moved_pixels, camera.calibration().fx_px / larger_px, floor), step_s, larger_px,
-                     floor, &rate);
+    rate.lens_known = false;
+    rate.larger_side_px = static_cast<int>(larger_px);
+    const double focal_length = camera.calibration().fx_px / larger_px;
+    fit_pixel_motion(moved_pixels, focal_length, scale_ * kFloorPx / larger_px, step_s, &rate);
     return rate;
   }
   const double floor_rad = scale_ * kFloorPx / camera.calibration().fx_px;

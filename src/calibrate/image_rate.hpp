@@ -45,8 +45,7 @@ class ImageRateTracker {
   /// @param lens_known  false: the camera is an ideal lens with a guess of the focal length, and by nothing but that is
   ///                    it known where the next corners are looked for
   /// @return mean rate since the image before; nothing for the first image, after a break of more than 0.25 s, and
-  /// where too few
-  ///         corners are found again
+  ///         where too few corners are found again
   /// Throws std::invalid_argument when the image does not fit the camera.
   std::optional<ImageRate> add(const cv::Mat& luminance, const Camera& camera, const RowExposure& exposure,
                                bool lens_known = true);
@@ -56,7 +55,6 @@ class ImageRateTracker {
 
  private:
   static constexpr double kFirstTranslationRadS = 0.2;  // a walk through a room
-  void shrink_mask(const cv::Size& size);
   std::optional<ImageRate> follow(const std::vector<cv::Mat>& pyramid, const Camera& camera,
                                   const RowExposure& exposure, bool lens_known);
 

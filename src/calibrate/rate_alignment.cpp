@@ -168,12 +168,6 @@ Normal prior() {
   return stddev.cwiseAbs2().cwiseInverse().asDiagonal();
 }
 
-Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
-  Eigen::Matrix3d m;
-  m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-  return m;
-}
-
 /// What an image says of the motion, and its derivatives.
 struct Row {
   TimeRange range;
@@ -238,7 +232,7 @@ class Step {
   }
 
   /// From `at` to where the squares are least.
-  Unknowns solution() const { return solve(normal_sum(), right_sum()); }
+  Unknowns solution() const { return solve(sum_of(normal_), sum_of(right_)); }
   double weight_of(std::size_t i) const {
     return robust_[i] / (kFloorRadS * kFloorRadS + rows_[i].stddev_rad_s * rows_[i].stddev_rad_s);
   }
@@ -247,8 +241,8 @@ class Step {
 
   /// The sum of two estimates: by the differences, and by leaving out parts.
   Normal covariance() const {
-    const Normal normal = normal_sum();
-    const Unknowns right = right_sum();
+    const Normal normal = sum_of(normal_);
+    const Unknowns right = sum_of(right_);
     const Normal formal = (normal / variance_ + prior()).inverse();
     std::array<Unknowns, kParts> without;
     Unknowns mean = Unknowns::Zero();
@@ -264,14 +258,10 @@ class Step {
   }
 
  private:
-  Normal normal_sum() const {
-    Normal sum = Normal::Zero();
-    for (const Normal& part : normal_) sum += part;
-    return sum;
-  }
-  Unknowns right_sum() const {
-    Unknowns sum = Unknowns::Zero();
-    for (const Unknowns& part : right_) sum += part;
+  template <typename Part>
+  static Part sum_of(const std::array<Part, kParts>& parts) {
+    Part sum = Part::Zero();
+    for (const Part& part : parts) sum += part;
     return sum;
   }
   Unknowns solve(const Normal& normal, const Unknowns& right) const {
@@ -329,7 +319,6 @@ void describe(const Step& step, RateAlignment* alignment) {
   alignment->correlation = squares > 0 ? std::sqrt(std::max(0.0, 1 - differing / squares)) : 0;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(scatter);
   alignment->main_axis = axes.eigenvectors().col(2);
-  alignment->main_rad_s = std::sqrt(std::max(axes.eigenvalues()[2], 0.0));
   alignment->second_rad_s = std::sqrt(std::max(axes.eigenvalues()[1], 0.0));
 }
 
@@ -354,12 +343,12 @@ OffsetPeak search_rate_offset(const std::vector<ImageRate>& rates, const GyroInt
   peak.at_edge = best == 0 || best + 1 == values.size();
   peak.correlation = values[best];
   peak.second_ns = offsets_ns[second];
-  peak.second = second == best ? 0 : values[second];
+  const double second_correlation = second == best ? 0 : values[second];
   // The offset is ambiguous unless the second peak leaves half as much again unexplained. Images' rates always leave
   // kNeverExplained.
   constexpr double kNeverExplained = 0.02, kFarWorse = 1.5;
   const auto unexplained = [](double correlation) { return 1 - correlation * correlation + kNeverExplained; };
-  peak.is_ambiguous = unexplained(peak.second) < kFarWorse * unexplained(peak.correlation);
+  peak.is_ambiguous = unexplained(second_correlation) < kFarWorse * unexplained(peak.correlation);
 
   peak.offset_ns = offsets_ns[best];
   double largest = -1;

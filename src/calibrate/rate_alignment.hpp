@@ -18,7 +18,6 @@ struct OffsetPeak {
   TimeNs offset_ns = 0;
   double correlation = 0;     ///< [0, 1] there
   TimeNs second_ns = 0;       ///< another offset, between which and the first they correlate less
-  double second = 0;          ///< the correlation there; 0: there is no other
   bool at_edge = false;       ///< of the search: they may correlate better beyond
   bool is_ambiguous = false;  ///< the second explains the images about as well
 };
@@ -46,7 +45,7 @@ struct RateAlignment {
   double agreeing = 0;                                   ///< [0, 1] of the rates
   double spread_rad_s = 0;                               ///< of the differences, one axis
   Eigen::Vector3d main_axis = Eigen::Vector3d::UnitX();  ///< unit vector in camera axes: about which it rotated most
-  double main_rad_s = 0, second_rad_s = 0;               ///< root mean square of the rates about it, and about another
+  double second_rad_s = 0;                               ///< root mean square of the rates about another axis
 };
 
 /// Robust least squares (Gauss-Newton with Cauchy's weights) from the offset on.

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "base/median.hpp"
+#include "blur/frame_quality.hpp"
 #include "blur/image_noise.hpp"
 #include "blur/motion_spectrum.hpp"
 #include "blur/path_1d.hpp"
@@ -31,24 +32,14 @@ constexpr int kMostSpectraImages = 60;
 TimeNs exp_ns(double log_ns) { return std::llround(std::exp(log_ns)); }
 double log_of(TimeNs time_ns) { return std::log(static_cast<double>(time_ns)); }
 
-PipelineOptions quick(const PipelineOptions& options) {
+Pipeline pipeline_for(const CameraCalibration& camera, const PipelineOptions& options) {
   PipelineOptions used;
   used.significant_bits = options.significant_bits;
   used.threads = options.threads;
   used.engine = "cpu";
-  return used;
-}
-
-Pipeline pipeline_for(const CameraCalibration& camera, const PipelineOptions& options) {
-  Pipeline pipeline(quick(options));
+  Pipeline pipeline(used);
   pipeline.set_calibration(camera);
   return pipeline;
-}
-
-double median_extent_px(const FrameBlur& field) {
-  std::vector<double> extents_px;
-  for (const BlockBlur& block : field.blocks) extents_px.push_back(block.extent_px);
-  return extents_px.empty() ? 0 : median(std::move(extents_px));
 }
 
 /// Logarithm of the power of a straight path at uniform speed.
@@ -195,7 +186,7 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   pipeline_.validate(ExposureAnswer{chosen.exposure_ns, false});
   const PipelineResult result = pipeline_.deblur();
   found.need = result.exposure_need;
-  found.extent_px = median_extent_px(result.field);
+  found.extent_px = median_extent_px(result.field, [](BlockStatus) { return true; });
   if (const std::optional<ExposureEstimate>& estimate = result.exposure_estimate) {
     found.estimate_ns = std::llround(static_cast<double>(plan.exposure_ns) * estimate->ratio);
     found.log_stddev = estimate->log_stddev;

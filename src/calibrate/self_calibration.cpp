@@ -3,8 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
-#include <utility>
 
 #include <Eigen/Geometry>
 
@@ -49,16 +47,12 @@ const char* axis_name(const Eigen::Vector3d& axis) {
   return kNames[static_cast<std::size_t>(largest)];
 }
 
-double angle_rad(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
-  return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
-}
-
 /// Takes a later value over where it is surer, or rests on about as much motion, or where both cannot be true.
 template <typename Value>
-void take(const Value& value, double stddev, double seconds, double difference, Learned<Value>* learned) {
+void take(const Value& value, double stddev, double seconds, Learned<Value>* learned) {
   constexpr double kAboutAsMuch = 0.7, kCannotAgree = 4;
   const bool keep = learned->known && stddev > learned->stddev && seconds < kAboutAsMuch * learned->seconds &&
-                    difference < kCannotAgree * std::hypot(stddev, learned->stddev);
+                    difference(value, learned->value) < kCannotAgree * std::hypot(stddev, learned->stddev);
   if (!keep) *learned = {value, stddev, seconds, true, ""};
 }
 
@@ -69,24 +63,18 @@ void set_missing(const std::string& missing, Learned<Value>* learned) {
 
 }  // namespace
 
-void SelfCalibrationOptions::validate() const {
+double difference(double a, double b) { return std::abs(a - b); }
+double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm(); }
+double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
+  return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
+}
+
+SelfCalibration::SelfCalibration(TimeNs expected_offset_ns, TimeNs search_ns)
+    : expected_offset_ns_(expected_offset_ns), search_ns_(search_ns), gyro_(kWindowNs + 4 * search_ns) {
   constexpr double kLongestOffsetS = 4e9, kLongestSearchS = 5, kShortestSearchS = 0.02;
   require_range("time_offset", to_seconds(expected_offset_ns), -kLongestOffsetS, kLongestOffsetS, "s");
   require_range("search", to_seconds(search_ns), kShortestSearchS, kLongestSearchS, "s");
-}
-
-namespace {
-
-SelfCalibrationOptions validated(const SelfCalibrationOptions& options) {
-  options.validate();
-  return options;
-}
-
-}  // namespace
-
-SelfCalibration::SelfCalibration(const SelfCalibrationOptions& options)
-    : options_(validated(options)), gyro_(kWindowNs + 4 * options_.search_ns) {
-  clear();
+  refuse("nothing has been seen yet");
 }
 
 void SelfCalibration::restart() {
@@ -94,13 +82,6 @@ void SelfCalibration::restart() {
   rates_.clear();
   still_since_ns_.reset();
   updated_ns_.reset();
-}
-
-void SelfCalibration::clear() {
-  restart();
-  learned_ = {};
-  bias_of_rest_ = false;
-  refuse("nothing has been seen yet");
 }
 
 void SelfCalibration::add_sample(const GyroSample& sample) { gyro_.add(sample); }
@@ -141,8 +122,8 @@ void SelfCalibration::refuse(const std::string& missing) {
 std::vector<ImageRate> SelfCalibration::usable_rates() const {
   std::vector<ImageRate> usable;
   for (const ImageRate& rate : rates_) {
-    const TimeNs begin_ns = rate.begin_ns + options_.expected_offset_ns - options_.search_ns;
-    const TimeNs end_ns = rate.end_ns + options_.expected_offset_ns + options_.search_ns;
+    const TimeNs begin_ns = rate.begin_ns + expected_offset_ns_ - search_ns_;
+    const TimeNs end_ns = rate.end_ns + expected_offset_ns_ + search_ns_;
     if (gyro_.covers({begin_ns, end_ns})) usable.push_back(rate);
   }
   return usable;
@@ -151,13 +132,13 @@ std::vector<ImageRate> SelfCalibration::usable_rates() const {
 std::string SelfCalibration::missing_data() const {
   const TimeRange gyro = gyro_.available();
   if (gyro.empty()) return "there are no gyroscope samples";
-  const double ahead_s = to_seconds(rates_.back().end_ns + options_.expected_offset_ns - gyro.end_ns);
-  if (std::abs(ahead_s) > 2 * to_seconds(options_.search_ns) + 1) {
+  const double ahead_s = to_seconds(rates_.back().end_ns + expected_offset_ns_ - gyro.end_ns);
+  if (std::abs(ahead_s) > 2 * to_seconds(search_ns_) + 1) {
     return format(
         "stamps of images are %.3f s %s those of the gyroscope, and offsets within %.1f s of %.6g s are looked "
         "for: set time_offset to about %.3f",
-        std::abs(ahead_s), ahead_s > 0 ? "ahead of" : "behind", to_seconds(options_.search_ns),
-        to_seconds(options_.expected_offset_ns), to_seconds(options_.expected_offset_ns) - ahead_s);
+        std::abs(ahead_s), ahead_s > 0 ? "ahead of" : "behind", to_seconds(search_ns_), to_seconds(expected_offset_ns_),
+        to_seconds(expected_offset_ns_) - ahead_s);
   }
   return "more images and gyroscope samples are waited for";
 }
@@ -168,7 +149,7 @@ void SelfCalibration::learn_alignment() {
   double image_s = 0, gyro_s = 0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   const auto gyro_rate = [this](const ImageRate& rate) {
-    return gyro_.mean_rate({rate.begin_ns + options_.expected_offset_ns, rate.end_ns + options_.expected_offset_ns});
+    return gyro_.mean_rate({rate.begin_ns + expected_offset_ns_, rate.end_ns + expected_offset_ns_});
   };
   for (const ImageRate& rate : rates) mean += gyro_rate(rate) / static_cast<double>(rates.size());
   for (const ImageRate& rate : rates) {
@@ -182,16 +163,15 @@ void SelfCalibration::learn_alignment() {
         format("the camera has rotated faster than %.1f rad/s for %.1f of the %.0f s that it takes: rotate it",
                kRotatingRadS, rotating_s, kLeastRotatingS));
   }
-  const OffsetPeak peak = search_rate_offset(rates, gyro_, options_.expected_offset_ns, options_.search_ns);
+  const OffsetPeak peak = search_rate_offset(rates, gyro_, expected_offset_ns_, search_ns_);
   const std::optional<RateAlignment> found = align_rates(rates, gyro_, peak.offset_ns);
   if (!found || found->correlation < kLeastCorrelation || found->agreeing < kLeastAgreeing || peak.at_edge) {
     return refuse(
         format("at no offset within %.1f s of %.6g s images rotate as the gyroscope does: the best correlation "
                "is %.2f, %.1f is needed, and %.0f %% of the images agree, %.0f %% have to; move the camera "
                "before a scene that stands still, and check that the gyroscope's rates are in rad/s",
-               to_seconds(options_.search_ns), to_seconds(options_.expected_offset_ns),
-               found ? found->correlation : peak.correlation, kLeastCorrelation, found ? 100 * found->agreeing : 0,
-               100 * kLeastAgreeing));
+               to_seconds(search_ns_), to_seconds(expected_offset_ns_), found ? found->correlation : peak.correlation,
+               kLeastCorrelation, found ? 100 * found->agreeing : 0, 100 * kLeastAgreeing));
   }
   const bool lens_known = rates.front().lens_known;
   if (found->scale < (lens_known ? kLeastScale : kShortestFocalLength) ||
@@ -214,8 +194,7 @@ void SelfCalibration::learn_alignment() {
     return refuse(format("the time offset is known to %.0f ms, and %.0f ms are needed: rotate the camera faster",
                          1e3 * offset_stddev_s, 1e3 * UsefulStddev::kOffsetS));
   }
-  take(offset_s, offset_stddev_s, rotating_s, std::abs(offset_s - learned_.time_offset_s.value),
-       &learned_.time_offset_s);
+  take(offset_s, offset_stddev_s, rotating_s, &learned_.time_offset_s);
   learn_readout(*found, rotating_s);
   learn_rotation_and_bias(*found, rotating_s);
   if (!lens_known) learn_focal_length(*found, rotating_s);
@@ -230,7 +209,7 @@ void SelfCalibration::learn_focal_length(const RateAlignment& found, double rota
   }
   if (rates_.back().larger_side_px != learned_.focal_image_px) learned_.focal_length = {};
   learned_.focal_image_px = rates_.back().larger_side_px;
-  take(found.scale, stddev, rotating_s, std::abs(found.scale - learned_.focal_length.value), &learned_.focal_length);
+  take(found.scale, stddev, rotating_s, &learned_.focal_length);
 }
 
 void SelfCalibration::learn_readout(const RateAlignment& found, double rotating_s) {
@@ -248,7 +227,7 @@ void SelfCalibration::learn_readout(const RateAlignment& found, double rotating_
   }
   // A global shutter's is 0, and not nearly.
   const double readout_s = std::abs(found.readout_s) < 2 * stddev_s ? 0 : found.readout_s;
-  take(readout_s, stddev_s, rotating_s, std::abs(readout_s - learned_.readout_s.value), &learned_.readout_s);
+  take(readout_s, stddev_s, rotating_s, &learned_.readout_s);
 }
 
 void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double rotating_s) {
@@ -266,8 +245,7 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
     set_missing(missing + ", or let it stand still", &learned_.bias_rad_s);
     return;
   }
-  take(found.R_cam_imu, rotation_stddev_rad, rotating_s, angle_rad(found.R_cam_imu, learned_.R_cam_imu.value),
-       &learned_.R_cam_imu);
+  take(found.R_cam_imu, rotation_stddev_rad, rotating_s, &learned_.R_cam_imu);
   const double bias_stddev_rad_s = std::hypot(found.bias_stddev_rad_s, kBiasFloorRadS);
   if (bias_stddev_rad_s > UsefulStddev::kBiasRadS) {
     set_missing(format("the bias is known to %.3f rad/s, and %.3f are needed: let the camera stand still",
@@ -276,18 +254,17 @@ void SelfCalibration::learn_rotation_and_bias(const RateAlignment& found, double
     return;
   }
   // At rest it is known better, but it drifts, and a slow pan passes for rest.
-  const double change_rad_s = (found.bias_rad_s - learned_.bias_rad_s.value).norm();
+  const double change_rad_s = difference(found.bias_rad_s, learned_.bias_rad_s.value);
   if (bias_of_rest_ && change_rad_s < std::max(2 * UsefulStddev::kBiasRadS, 4 * bias_stddev_rad_s)) return;
   bias_of_rest_ = false;
-  take(found.bias_rad_s, bias_stddev_rad_s, rotating_s, change_rad_s, &learned_.bias_rad_s);
+  take(found.bias_rad_s, bias_stddev_rad_s, rotating_s, &learned_.bias_rad_s);
 }
 
 void SelfCalibration::learn_resting_bias() {
   if (!still_since_ns_) return;
   // Whatever the offset is, the gyroscope stood still then, too.
-  const TimeNs around_ns = learned_.time_offset_s.known ? kSecondNs / 10 : options_.search_ns;
-  const TimeNs offset_ns =
-      learned_.time_offset_s.known ? to_ns(learned_.time_offset_s.value) : options_.expected_offset_ns;
+  const TimeNs around_ns = learned_.time_offset_s.known ? kSecondNs / 10 : search_ns_;
+  const TimeNs offset_ns = learned_.time_offset_s.known ? to_ns(learned_.time_offset_s.value) : expected_offset_ns_;
   TimeNs begin_ns = *still_since_ns_ + offset_ns + around_ns;
   const TimeNs end_ns = std::min(rates_.back().end_ns + offset_ns - around_ns, gyro_.available().end_ns);
   begin_ns = std::max(begin_ns, end_ns - 4 * kSecondNs);
@@ -309,9 +286,9 @@ void SelfCalibration::learn_resting_bias() {
 
 std::vector<Contradiction> contradictions(const UsedCalibration& used, const LearnedCalibration& learned) {
   constexpr double kForgivenRad = 10 / kDegPerRad, kForgivenS = 0.02, kForgivenReadoutS = 0.008, kForgivenRadS = 0.05;
-  const auto contradicts = [](double difference, double forgiven, double stddev) {
+  const auto contradicts = [](double off, double forgiven, double stddev) {
     constexpr double kSignificance = 4;
-    return difference > std::max(forgiven, kSignificance * stddev);
+    return off > std::max(forgiven, kSignificance * stddev);
   };
   std::vector<Contradiction> found;
   const auto add = [&found](const std::string& key, const std::string& source, const std::string& values) {
@@ -321,7 +298,7 @@ std::vector<Contradiction> contradictions(const UsedCalibration& used, const Lea
   if (used.R_cam_imu && learned.R_cam_imu.known) {
     const Eigen::Matrix3d& value = learned.R_cam_imu.value;
     const double stddev = learned.R_cam_imu.stddev;
-    const double off_rad = angle_rad(used.R_cam_imu->value, value);
+    const double off_rad = difference(used.R_cam_imu->value, value);
     if (contradicts(off_rad, kForgivenRad, stddev)) {
       add("R_cam_imu", used.R_cam_imu->source,
           to_string(used.R_cam_imu->value) + ", they say " + to_string(value) +
@@ -332,14 +309,14 @@ std::vector<Contradiction> contradictions(const UsedCalibration& used, const Lea
                               double forgiven_s) {
     if (!in_use || !images.known) return;
     const double used_s = to_seconds(in_use->value);
-    if (!contradicts(std::abs(used_s - images.value), forgiven_s, images.stddev)) return;
+    if (!contradicts(difference(used_s, images.value), forgiven_s, images.stddev)) return;
     add(key, in_use->source, format("%.4f s, they say %.4f s (+- %.4f s)", used_s, images.value, images.stddev));
   };
   check_time("time_offset", used.time_offset_ns, learned.time_offset_s, kForgivenS);
   check_time("readout_time", used.readout_ns, learned.readout_s, kForgivenReadoutS);
   if (used.bias_rad_s && learned.bias_rad_s.known) {
     const Eigen::Vector3d &a = used.bias_rad_s->value, &b = learned.bias_rad_s.value;
-    if (contradicts((a - b).norm(), kForgivenRadS, learned.bias_rad_s.stddev)) {
+    if (contradicts(difference(a, b), kForgivenRadS, learned.bias_rad_s.stddev)) {
       add("gyro_bias", used.bias_rad_s->source,
           format("[%.3f, %.3f, %.3f] rad/s, they say [%.3f, %.3f, %.3f] rad/s (+- %.3f)", a.x(), a.y(), a.z(), b.x(),
                  b.y(), b.z(), learned.bias_rad_s.stddev));

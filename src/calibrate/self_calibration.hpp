@@ -12,17 +12,11 @@
 #include "calibrate/gyro_integral.hpp"
 #include "calibrate/image_rate.hpp"
 #include "calibrate/rate_alignment.hpp"
+#include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
-
-struct SelfCalibrationOptions {
-  TimeNs expected_offset_ns = 0;   ///< the offset is looked for around this; |.| <= 4e9 s
-  TimeNs search_ns = 500'000'000;  ///< (0, 5 s]: to either side
-
-  void validate() const;  ///< throws OptionError
-};
 
 /// A value estimated from images and gyroscope.
 template <typename Value>
@@ -34,6 +28,16 @@ struct Learned {
   std::string missing{};  ///< where it is not known: why not, and what would help
 };
 
+/// How far two values are apart: of rotations the angle [rad], of vectors the length.
+double difference(double a, double b);
+double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b);
+double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b);
+
+/// Part of the readout time from the row that stamps refer to, to the middle one.
+inline double readout_to_middle(StampRow row) {
+  return row == StampRow::FIRST ? 0.5 : row == StampRow::LAST ? -0.5 : 0;
+}
+
 /// Largest standard deviations of a value that is used: half of the error that costs one to three percent of the
 /// matches.
 struct UsefulStddev {
@@ -44,8 +48,7 @@ struct UsefulStddev {
 /// What has been learned so far.
 struct LearnedCalibration {
   Learned<Eigen::Matrix3d> R_cam_imu{Eigen::Matrix3d::Identity()};  ///< stddev [rad]
-  /// t_imu = t_cam + time_offset [s]. Contains half of an exposure time, or readout time, that is not known and taken
-  /// for 0.
+  /// t_imu = t_cam + time_offset [s]. Contains half of an exposure or readout time that is not known and taken for 0.
   Learned<double> time_offset_s;
   Learned<double> readout_s;  ///< from the first row to the last, whatever the images' exposures say of it
   Learned<Eigen::Vector3d> bias_rad_s{Eigen::Vector3d::Zero()};  ///< IMU axes
@@ -61,8 +64,10 @@ struct LearnedCalibration {
 /// thread-safe.
 class SelfCalibration {
  public:
+  /// @param expected_offset_ns  the offset is looked for around this; |.| <= 4e9 s
+  /// @param search_ns           [0.02 s, 5 s]: to either side
   /// Throws OptionError.
-  explicit SelfCalibration(const SelfCalibrationOptions& options = {});
+  explicit SelfCalibration(TimeNs expected_offset_ns = 0, TimeNs search_ns = 500'000'000);
 
   /// @param sample  IMU axes and clock, in the order of time
   void add_sample(const GyroSample& sample);
@@ -78,8 +83,6 @@ class SelfCalibration {
   const LearnedCalibration& learned() const { return learned_; }
   /// Forgets images and samples, but not the estimates: time has been reset.
   void restart();
-  /// Forgets everything.
-  void clear();
 
  private:
   std::vector<ImageRate> usable_rates() const;
@@ -92,7 +95,7 @@ class SelfCalibration {
   void learn_resting_bias();
   void refuse(const std::string& missing);
 
-  SelfCalibrationOptions options_;
+  TimeNs expected_offset_ns_, search_ns_;
   GyroIntegral gyro_;
   std::deque<ImageRate> rates_;           // of the last half minute
   std::optional<TimeNs> still_since_ns_;  // camera clock

@@ -19,14 +19,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
+using MatrixByRows = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
 std::vector<double> numbers(double value) { return {value}; }
 std::vector<double> numbers(const Eigen::Vector3d& value) { return {value.x(), value.y(), value.z()}; }
 std::vector<double> numbers(const Eigen::Matrix3d& value) {
-  std::vector<double> by_rows;
-  for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) by_rows.push_back(value(row, column));
-  }
-  return by_rows;
+  const MatrixByRows by_rows = value;
+  return {by_rows.data(), by_rows.data() + by_rows.size()};
 }
 
 template <typename Value>
@@ -53,8 +52,7 @@ void read(const nlohmann::json& json, const char* key, double largest, Learned<V
   } else if constexpr (std::is_same_v<Value, Eigen::Vector3d>) {
     learned->value = Eigen::Map<const Eigen::Vector3d>(values.data());
   } else {
-    const Eigen::Matrix3d columns = Eigen::Map<const Eigen::Matrix3d>(values.data());
-    learned->value = require_rotation(key, columns.transpose());
+    learned->value = require_rotation(key, Eigen::Map<const MatrixByRows>(values.data()));
   }
   learned->stddev = stddev;
   learned->seconds = entry.at("seconds").get<double>();

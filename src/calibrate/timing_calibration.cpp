@@ -75,22 +75,6 @@ void keep_covered(const TimingModel& model, const TimingOptions& options, const 
   }
 }
 
-/// Residuals of the gyroscope's rotation alone.
-std::vector<std::vector<Eigen::Vector2d>> rotation_residuals(const TimingModel& model, const TimingState& state,
-                                                             const std::vector<WindowPoints>& windows) {
-  const RotationTrack gyro = model.track(state);
-  std::vector<std::vector<Eigen::Vector2d>> residuals;
-  for (const WindowPoints& points : windows) {
-    std::vector<Eigen::Vector2d> of_window;
-    const std::vector<Eigen::Vector3d> rays = model.rotated_rays(points, gyro, state);
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-      of_window.emplace_back(points.sightings[i].px - model.camera().project(rays[i]));
-    }
-    residuals.push_back(std::move(of_window));
-  }
-  return residuals;
-}
-
 double median_length(const std::vector<TimingResidual>& residuals, Eigen::Vector2d TimingResidual::*member) {
   std::vector<double> lengths;
   for (const TimingResidual& residual : residuals) {
@@ -121,34 +105,23 @@ void report_rates(const TimingStart& start, const TimingModel& model, const Timi
   const std::vector<Eigen::Vector3d> by_gyro = start.gyro_rotations(state);
   for (std::size_t i = 0; i < windows.size(); ++i) {
     const TimeNs from_ns = model.middle_of(windows[i].window->frames.front(), state.readout_s);
-    const double dt_s = start.interval_s(windows[i], state);
+    const double dt_s = model.frame_times_s(windows[i], state)[0];
     estimate->rates.push_back({from_ns + to_ns(0.5 * dt_s), start.image_rotations()[i] / dt_s, by_gyro[i] / dt_s});
   }
 }
 
 }  // namespace
 
-void TimingOptions::validate() const {
-  constexpr double kLongestOffsetS = 4e9, kLongestSearchS = 5;  // any clocks of ros::Time
-  require_range("time_offset", to_seconds(time_offset_ns), -kLongestOffsetS, kLongestOffsetS, "s");
-  require_range("search", to_seconds(search_ns), 0, kLongestSearchS, "s");
-  require_range("readout_time", to_seconds(readout_ns), -1, 1, "s");
-  GyroOptions gyro;
-  gyro.bias_rad_s = bias_rad_s;
-  gyro.max_gap_ns = max_gap_ns;
-  gyro.range_rad_s = gyro_range_rad_s;
-  gyro.validate();
-  if (R_cam_imu) require_rotation("R_cam_imu", *R_cam_imu);
-}
-
 TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWindow>& windows,
                                const std::vector<GyroSample>& samples, const TimingOptions& options) {
-  options.validate();
+  constexpr double kLongestSearchS = 5;
+  require_range("search", to_seconds(options.search_ns), 0, kLongestSearchS, "s");
+  options.gyro.validate();
   if (samples.size() < 2) throw TimingError("there are " + std::to_string(samples.size()) + " gyroscope samples");
   const TimingModel model(camera, samples, options);
   std::vector<WindowPoints> points = select_points(camera, windows);
   TimingState state{
-      to_seconds(options.time_offset_ns), to_seconds(options.readout_ns), options.bias_rad_s,
+      to_seconds(options.gyro.time_offset_ns), to_seconds(options.shutter.readout_ns), options.gyro.bias_rad_s,
       options.R_cam_imu ? require_rotation("R_cam_imu", *options.R_cam_imu) : Eigen::Matrix3d::Identity()};
   TimingEstimate estimate;
   {
@@ -157,9 +130,10 @@ TimingEstimate estimate_timing(const Camera& camera, const std::vector<TrackWind
     if (!options.R_cam_imu) start.find_rotation(&state);
   }
   keep_covered(model, options, state, &points);
-  const auto at_start = rotation_residuals(model, state, points);
-  TimingSolver solver(model, points);
-  solver.solve(&state);
+  TimingSolver solver(model, points, state);
+  std::vector<std::vector<Eigen::Vector2d>> at_start;
+  for (std::size_t i = 0; i < points.size(); ++i) at_start.push_back(solver.residuals(i));
+  state = solver.solve();
   report_values(model, options, state, solver.variances(), &estimate);
 
   estimate.speed_per_s = solver.priors().speed_per_s;

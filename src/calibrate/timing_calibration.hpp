@@ -22,20 +22,15 @@ class TimingError : public std::runtime_error {
 };
 
 struct TimingOptions {
-  StampRow stamp_row = StampRow::FIRST;        ///< that stamps refer to
-  StampPhase stamp_phase = StampPhase::START;  ///< that stamps refer to
-  TimeNs time_offset_ns = 0;                   ///< where the search begins; |.| <= 4e9 s
-  TimeNs search_ns = 500'000'000;              ///< [0, 5 s]: the offset lies at most this far from there; 0: no search
-  TimeNs readout_ns = 0;                       ///< where the estimation begins, or what holds
+  /// The readout is where the estimation begins, or what holds. The exposure is not used: frames have their own.
+  ShutterTiming shutter;
+  /// Where the search for the offset and the estimation of the bias begin, or the bias that holds. Pairs of frames
+  /// across a gap between samples, or across a saturated sample, are left out.
+  GyroOptions gyro;
+  TimeNs search_ns = 500'000'000;  ///< [0, 5 s]: the offset lies at most this far from gyro's; 0: no search
   bool estimate_readout = true;
   bool estimate_bias = true;
-  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< where the estimation begins, or what holds
-  std::optional<Eigen::Matrix3d> R_cam_imu;              ///< absent: estimated from nothing
-  bool refine_rotation = false;                          ///< estimate it although it is given
-  TimeNs max_gap_ns = 50'000'000;  ///< [1 ms, 1 s]; pairs of frames across a longer gap between samples are left out
-  double gyro_range_rad_s = 0;     ///< [0, 400]; so are those across a saturated sample; 0: not known
-
-  void validate() const;  ///< throws OptionError
+  std::optional<Eigen::Matrix3d> R_cam_imu;  ///< absent: estimated from nothing
 };
 
 /// A value with its standard deviation, from how the value changes when parts of the recording are left out. It allows

@@ -39,7 +39,7 @@ std::string motionless(const TimingEstimate& estimate) {
 std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions& options) {
   // Tolerance at the end of the search by correlation: the estimation changes the offset by some.
   constexpr double kMarginS = 2e-3;
-  const double search_s = to_seconds(options.search_ns), center_s = to_seconds(options.time_offset_ns);
+  const double search_s = to_seconds(options.search_ns), center_s = to_seconds(options.gyro.time_offset_ns);
   if (options.search_ns == 0 || std::abs(estimate.time_offset_s.value - center_s) < search_s - kMarginS) return {};
   return format(
       "time_offset = %.6f s is at the limit of the search, %g s around %g s: widen it with --search, or give "
@@ -47,13 +47,14 @@ std::string at_search_limit(const TimingEstimate& estimate, const TimingOptions&
       estimate.time_offset_s.value, search_s, center_s);
 }
 
-std::string loose_offset(const TimingEstimate& estimate) {
-  const double stddev_s = estimate.time_offset_s.stddev;
-  if (stddev_s <= UsefulStddev::kOffsetS) return {};
-  return format(
-      "time_offset has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, and for "
-      "longer",
-      1e3 * stddev_s, 1e3 * UsefulStddev::kOffsetS);
+/// The objection to a value that is not known well enough to be of use; else empty.
+/// @param scale   to the unit of the text
+/// @param digits  after the decimal point
+std::string loose(const char* key, double stddev, double limit, double scale, int digits, const char* unit,
+                  const char* remedy) {
+  if (stddev <= limit) return {};
+  return format("%s has a standard deviation of %.*f %s, %g at most are of use: %s", key, digits, scale * stddev, unit,
+                scale * limit, remedy);
 }
 
 std::string contradicted_offset(const TimingEstimate& estimate, const LearnedCalibration& coarse) {
@@ -65,35 +66,6 @@ std::string contradicted_offset(const TimingEstimate& estimate, const LearnedCal
       "time_offset = %.4f s by the angular speeds, %.4f s by the angular rates about all axes: the motion repeats "
       "itself; rotate the camera irregularly",
       estimate.time_offset_s.value, other.value);
-}
-
-std::string loose_rotation(const TimingEstimate& estimate) {
-  const double stddev_rad = estimate.rotation_stddev_rad.maxCoeff();
-  if (stddev_rad <= UsefulStddev::kRotationRad) return {};
-  return format(
-      "R_cam_imu has a standard deviation of %.1f degrees, %g at most are of use: rotate the camera about all axes, or "
-      "give R_cam_imu",
-      kDegPerRad * stddev_rad, kDegPerRad * UsefulStddev::kRotationRad);
-}
-
-std::string loose_readout(const TimingEstimate& estimate) {
-  const double stddev_s = estimate.readout_s.stddev;
-  if (stddev_s <= UsefulStddev::kReadoutS) return {};
-  return format(
-      "readout_time has a standard deviation of %.0f ms, %g at most are of use: rotate the camera faster, or give it "
-      "in "
-      "--config with --fixed-readout",
-      1e3 * stddev_s, 1e3 * UsefulStddev::kReadoutS);
-}
-
-std::string loose_bias(const TimingEstimate& estimate) {
-  double stddev_rad_s = 0;
-  for (const Estimate& axis : estimate.bias_rad_s) stddev_rad_s = std::max(stddev_rad_s, axis.stddev);
-  if (stddev_rad_s <= UsefulStddev::kBiasRadS) return {};
-  return format(
-      "gyro_bias has a standard deviation of %.3f rad/s, %g at most are of use: let the camera stand still and call "
-      "~estimate_gyro_bias, or record for longer",
-      stddev_rad_s, UsefulStddev::kBiasRadS);
 }
 
 std::string impossible_readout(const TimingEstimate& estimate, const FramePeriod& period) {
@@ -109,14 +81,12 @@ std::string impossible_readout(const TimingEstimate& estimate, const FramePeriod
 
 LearnedCalibration coarse_calibration(const std::vector<ImageRate>& rates, const std::vector<GyroSample>& samples,
                                       TimeNs time_offset_ns, TimeNs search_ns) {
-  SelfCalibrationOptions options;
-  options.expected_offset_ns = time_offset_ns;
   constexpr TimeNs kShortestSearchNs = 100'000'000;
-  options.search_ns = std::max(search_ns, kShortestSearchNs);
-  SelfCalibration calibration(options);
+  search_ns = std::max(search_ns, kShortestSearchNs);
+  SelfCalibration calibration(time_offset_ns, search_ns);
   auto next = samples.begin();
   for (const ImageRate& rate : rates) {
-    const TimeNs until_ns = rate.end_ns + time_offset_ns + 2 * options.search_ns;
+    const TimeNs until_ns = rate.end_ns + time_offset_ns + 2 * search_ns;
     for (; next != samples.end() && next->t_ns <= until_ns; ++next) calibration.add_sample(*next);
     calibration.add_rate(rate);
     if (calibration.is_due()) calibration.update();
@@ -129,15 +99,29 @@ std::vector<TimingObjection> timing_objections(const TimingEstimate& estimate, c
                                                const FramePeriod& period, const LearnedCalibration& coarse) {
   std::vector<TimingObjection> objections;
   const std::string still = motionless(estimate);
+  const Estimate(&bias)[3] = estimate.bias_rad_s;
+  const double bias_stddev_rad_s = std::max({bias[0].stddev, bias[1].stddev, bias[2].stddev});
   for (const TimingObjection& objection :
        {TimingObjection{"", still.empty() ? stabilised(estimate, options) : still, true},
         TimingObjection{"time_offset", at_search_limit(estimate, options), true},
-        TimingObjection{"time_offset", loose_offset(estimate), true},
+        TimingObjection{"time_offset",
+                        loose("time_offset", estimate.time_offset_s.stddev, UsefulStddev::kOffsetS, 1e3, 0, "ms",
+                              "rotate the camera faster, and for longer"),
+                        true},
         TimingObjection{"time_offset", contradicted_offset(estimate, coarse), true},
         TimingObjection{"readout_time", impossible_readout(estimate, period), true},
-        TimingObjection{"readout_time", loose_readout(estimate), false},
-        TimingObjection{"gyro_bias", loose_bias(estimate), false},
-        TimingObjection{"R_cam_imu", loose_rotation(estimate), true}}) {
+        TimingObjection{"readout_time",
+                        loose("readout_time", estimate.readout_s.stddev, UsefulStddev::kReadoutS, 1e3, 0, "ms",
+                              "rotate the camera faster, or give it in --config with --fixed-readout"),
+                        false},
+        TimingObjection{"gyro_bias",
+                        loose("gyro_bias", bias_stddev_rad_s, UsefulStddev::kBiasRadS, 1, 3, "rad/s",
+                              "let the camera stand still and call ~estimate_gyro_bias, or record for longer"),
+                        false},
+        TimingObjection{"R_cam_imu",
+                        loose("R_cam_imu", estimate.rotation_stddev_rad.maxCoeff(), UsefulStddev::kRotationRad,
+                              kDegPerRad, 1, "degrees", "rotate the camera about all axes, or give R_cam_imu"),
+                        true}}) {
     if (!objection.text.empty()) objections.push_back(objection);
   }
   return objections;

@@ -10,8 +10,6 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 
-#include "gyro_deblur/exposure.hpp"
-
 namespace gyro_deblur {
 namespace {
 
@@ -51,20 +49,16 @@ Eigen::Matrix3d mean_rotation(const RotationTrack& gyro, TimeNs from_ns, TimeNs 
 }  // namespace
 
 RotationTrack TimingModel::track(const TimingState& state) const {
-  GyroOptions gyro;
+  GyroOptions gyro = options_.gyro;
   gyro.bias_rad_s = state.bias_rad_s;
   gyro.time_offset_ns = to_ns(state.time_offset_s);
-  gyro.max_gap_ns = options_.max_gap_ns;
-  gyro.range_rad_s = options_.gyro_range_rad_s;
   return {samples_, gyro, state.R_cam_imu};
 }
 
 RowExposure TimingModel::rows_of(const FrameTime& frame, double readout_s) const {
-  ShutterTiming timing;
+  ShutterTiming timing = options_.shutter;
   timing.exposure_ns = std::max<TimeNs>(frame.exposure_ns, 1);
   timing.readout_ns = to_ns(readout_s);
-  timing.stamp_row = options_.stamp_row;
-  timing.stamp_phase = options_.stamp_phase;
   return {frame.stamp_ns, camera_.calibration().height_px, timing};
 }
 

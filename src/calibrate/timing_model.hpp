@@ -81,7 +81,7 @@ class TimingModel {
   Eigen::Index values() const { return static_cast<Eigen::Index>(steps_of_differentiation().size()); }
   std::vector<double> steps_of_differentiation() const;
   TimingState moved(const TimingState& state, const Eigen::VectorXd& step) const;
-  bool estimates_rotation() const { return !options_.R_cam_imu || options_.refine_rotation; }
+  bool estimates_rotation() const { return !options_.R_cam_imu; }
   /// @}
 
  private:

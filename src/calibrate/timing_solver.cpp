@@ -17,10 +17,21 @@ namespace {
 constexpr double kRayleighMedian = 1.1774;
 constexpr double kLeastNoisePx = 0.02;
 
+ReducedEquations sum_of_equations(const std::vector<ReducedEquations>& equations, Eigen::Index values) {
+  ReducedEquations sum{Eigen::MatrixXd::Zero(values, values), Eigen::VectorXd::Zero(values)};
+  for (const ReducedEquations& one : equations) {
+    sum.H += one.H;
+    sum.gradient += one.gradient;
+  }
+  return sum;
+}
+
 }  // namespace
 
-TimingSolver::TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows)
-    : model_(model), windows_(windows) {}
+TimingSolver::TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows, const TimingState& start)
+    : model_(model), windows_(windows), state_(start), fits_(fits_of(start)) {
+  for (const WindowFit& fit : fits_) structures_.push_back(fit.at_rest());
+}
 
 std::vector<WindowFit> TimingSolver::fits_of(const TimingState& state) const {
   const RotationTrack gyro = model_.track(state);
@@ -39,8 +50,8 @@ double TimingSolver::fit(const std::vector<WindowFit>& fits, std::vector<WindowS
   return cost;
 }
 
-std::vector<ReducedEquations> TimingSolver::linearise(const TimingState& state) const {
-  const TimingDerivatives derivatives(model_, state);
+std::vector<ReducedEquations> TimingSolver::linearise() const {
+  const TimingDerivatives derivatives(model_, state_);
   std::vector<ReducedEquations> result;
   result.reserve(fits_.size());
   for (std::size_t i = 0; i < fits_.size(); ++i) {
@@ -72,15 +83,10 @@ void TimingSolver::update_priors(bool translates) {
   if (translates && speeds > 0) priors_.speed_per_s = std::max(std::sqrt(squares / speeds), kLeastSpeedPerS);
 }
 
-double TimingSolver::improve(TimingState* state, double* damping) {
+double TimingSolver::improve(double* damping) {
   const std::vector<double> steps = model_.steps_of_differentiation();
   const double cost = fit(fits_, &structures_);
-  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(model_.values(), model_.values());
-  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(model_.values());
-  for (const ReducedEquations& equations : linearise(*state)) {
-    H += equations.H;
-    gradient += equations.gradient;
-  }
+  const auto [H, gradient] = sum_of_equations(linearise(), model_.values());
   constexpr int kMaxAttempts = 10;
   for (int attempt = 0; attempt < kMaxAttempts; ++attempt) {
     Eigen::MatrixXd damped = H;
@@ -88,34 +94,25 @@ double TimingSolver::improve(TimingState* state, double* damping) {
     const Eigen::VectorXd step = -damped.ldlt().solve(gradient);
     *damping *= 10;
     if (!step.allFinite()) continue;
-    const TimingState next = model_.moved(*state, step);
+    const TimingState next = model_.moved(state_, step);
     // Gyroscope and shutter take up to 1, and the derivatives are taken a little beyond.
     constexpr double kLongestReadoutS = 0.99, kLargestBias = 0.99;
     if (std::abs(next.readout_s) > kLongestReadoutS || next.bias_rad_s.cwiseAbs().maxCoeff() > kLargestBias) continue;
     std::vector<WindowFit> fits = fits_of(next);
     std::vector<WindowStructure> structures = structures_;
     if (!(fit(fits, &structures) < cost)) continue;
-    *state = next;
+    state_ = next;
     fits_ = std::move(fits);
     structures_ = std::move(structures);
     *damping /= 100;
-    double length = 0;
-    for (std::size_t k = 0; k < steps.size(); ++k) {
-      length = std::max(length, std::abs(step[static_cast<Eigen::Index>(k)]) / steps[k]);
-    }
-    return length;
+    return (step.array().abs() / Eigen::Map<const Eigen::ArrayXd>(steps.data(), step.size())).maxCoeff();
   }
   return 0;
 }
 
 Eigen::VectorXd TimingSolver::variances_of(const std::vector<ReducedEquations>& equations) const {
   const Eigen::Index values = model_.values();
-  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(values, values);
-  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(values);
-  for (const ReducedEquations& one : equations) {
-    H += one.H;
-    gradient += one.gradient;
-  }
+  const auto [H, gradient] = sum_of_equations(equations, values);
   const auto require_determined = [](const Eigen::FullPivLU<Eigen::MatrixXd>& lu) {
     if (lu.isInvertible()) return;
     throw TimingError("the recording does not determine the values: there is too little motion");
@@ -142,39 +139,37 @@ Eigen::VectorXd TimingSolver::variances_of(const std::vector<ReducedEquations>& 
          variances;
 }
 
-void TimingSolver::descend(bool translates, TimingState* state) {
+void TimingSolver::descend(bool translates) {
   double damping = 1e-3;
   constexpr int kMaxIterations = 30;
   constexpr double kDone = 0.01;  // of the steps of differentiation
   for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-    const double length = improve(state, &damping);
+    const double length = improve(&damping);
     update_priors(translates);
     if (length < kDone) break;
   }
 }
 
-void TimingSolver::solve(TimingState* state) {
-  fits_ = fits_of(*state);
-  structures_.clear();
-  for (const WindowFit& fit : fits_) structures_.push_back(fit.at_rest());
+TimingState TimingSolver::solve() {
   // Without translation a constant velocity and a bias look nearly the same, and errors of tracking and noise of the
   // gyroscope look like a small velocity. So the camera has none unless a velocity explains much more than that.
   constexpr double kAtRestPerS = 1e-6, kFirstSpeedPerS = 1, kWorthIt = 0.5;
   priors_ = {std::max(median_residual_px() / kRayleighMedian, kLeastNoisePx), kAtRestPerS};
-  descend(false, state);
-  const TimingState state_at_rest = *state;
+  descend(false);
+  const TimingState state_at_rest = state_;
   const StructurePriors priors_at_rest = priors_;
   const std::vector<WindowStructure> structures_at_rest = structures_;
   priors_.speed_per_s = kFirstSpeedPerS;
-  descend(true, state);
+  descend(true);
   if (priors_.noise_px > kWorthIt * priors_at_rest.noise_px) {
-    *state = state_at_rest;
+    state_ = state_at_rest;
     priors_ = priors_at_rest;
     structures_ = structures_at_rest;
-    fits_ = fits_of(*state);
+    fits_ = fits_of(state_);
   }
   fit(fits_, &structures_);
-  variances_ = variances_of(linearise(*state));
+  variances_ = variances_of(linearise());
+  return state_;
 }
 
 }  // namespace gyro_deblur

@@ -12,15 +12,16 @@ namespace gyro_deblur {
 
 class TimingSolver {
  public:
-  /// Keeps references.
-  TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows);
+  /// Keeps references to model and windows.
+  /// @param start  of the search, with a camera that only rotates
+  TimingSolver(const TimingModel& model, const std::vector<WindowPoints>& windows, const TimingState& start);
 
-  /// Moves the state to the least cost. Throws TimingError when the recording does not determine it.
-  void solve(TimingState* state);
+  /// Returns the state of the least cost. Throws TimingError when the recording does not determine it.
+  TimingState solve();
 
   /// After solve: variances of the values, in their order.
   const Eigen::VectorXd& variances() const { return variances_; }
-  /// After solve: the residuals of one window with its translation [px].
+  /// The residuals of one window [px]: before solve() at the start, after it with the window's translation.
   std::vector<Eigen::Vector2d> residuals(std::size_t window) const {
     return fits_[window].residuals(structures_[window]);
   }
@@ -31,12 +32,12 @@ class TimingSolver {
   std::vector<WindowFit> fits_of(const TimingState& state) const;
   /// The least cost by the structures.
   double fit(const std::vector<WindowFit>& fits, std::vector<WindowStructure>* structures) const;
-  std::vector<ReducedEquations> linearise(const TimingState& state) const;
+  std::vector<ReducedEquations> linearise() const;
   double median_residual_px() const;
   /// One step of Levenberg and Marquardt. Returns its length in steps of differentiation; 0 when nothing costs less.
-  double improve(TimingState* state, double* damping);
+  double improve(double* damping);
   /// To the least cost, with or without translation.
-  void descend(bool translates, TimingState* state);
+  void descend(bool translates);
   void update_priors(bool translates);
   /// By the jackknife: how the values change when a block of neighbouring windows is left out (Kuensch, 1989), each in
   /// one step. Its weight in the recording is allowed for, and what neighbours have in common.
@@ -44,6 +45,7 @@ class TimingSolver {
 
   const TimingModel& model_;
   const std::vector<WindowPoints>& windows_;
+  TimingState state_;
   std::vector<WindowFit> fits_;  ///< of the state
   std::vector<WindowStructure> structures_;
   StructurePriors priors_;

@@ -3,11 +3,11 @@
 
 #include <cmath>
 #include <limits>
-#include <sstream>
 
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
 
+#include "base/format.hpp"
 #include "calibrate/aligned_rotation.hpp"
 
 namespace gyro_deblur {
@@ -24,7 +24,7 @@ Eigen::Matrix3d image_rotation(const Camera& camera, const WindowPoints& points)
     from.push_back(points.anchors[sighting.anchor].ray.normalized());
     to.push_back(camera.ray(sighting.px).normalized());
   }
-  return robust_rotation(from, to).R;
+  return robust_rotation(from, to);
 }
 
 /// Pearson's, -1 where it is not defined.
@@ -49,10 +49,6 @@ TimingStart::TimingStart(const TimingModel& model, const std::vector<WindowPoint
   for (const WindowPoints& points : windows) {
     image_rotations_.push_back(-log_rotation(image_rotation(model.camera(), points)));
   }
-}
-
-double TimingStart::interval_s(const WindowPoints& points, const TimingState& state) const {
-  return model_.frame_times_s(points, state)[0];
 }
 
 std::vector<Eigen::Vector3d> TimingStart::gyro_rotations(const TimingState& state) const {
@@ -99,13 +95,11 @@ double TimingStart::search_offset(TimeNs search_ns, TimingState* state) const {
   }
   state->time_offset_s = to_seconds(best_ns);
   if (best < kMinCorrelation) {
-    std::ostringstream text;
-    text.precision(2);
-    text << "the angular speeds of image and gyroscope do not agree at any offset within " << to_seconds(search_ns)
-         << " s of " << to_seconds(center_ns) << " s: the best correlation is " << best << ", " << kMinCorrelation
-         << " is needed; is there motion, are the images not stabilised, do the recordings belong together, are the "
-            "rates in rad/s?";
-    throw TimingError(text.str());
+    throw TimingError(
+        format("the angular speeds of image and gyroscope do not agree at any offset within %.2g s of %.2g s: the best "
+               "correlation is %.2g, %.2g is needed; is there motion, are the images not stabilised, do the recordings "
+               "belong together, are the rates in rad/s?",
+               to_seconds(search_ns), to_seconds(center_ns), best, kMinCorrelation));
   }
   return best;
 }
@@ -120,25 +114,16 @@ void TimingStart::find_rotation(TimingState* state) const {
     from.push_back(by_gyro[i]);
     to.push_back(image_rotations_[i]);
   }
-  std::vector<double> weights(from.size(), 1.0);
   constexpr int kIterations = 10;
   Eigen::Matrix3d moment;
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    moment.setZero();
-    for (std::size_t i = 0; i < from.size(); ++i) moment += weights[i] * to[i] * from[i].transpose();
-    state->R_cam_imu = solve_wahba(moment);
-    std::vector<double> errors;
-    for (std::size_t i = 0; i < from.size(); ++i) errors.push_back((to[i] - state->R_cam_imu * from[i]).norm());
-    weights = cauchy_weights(errors);
-  }
+  state->R_cam_imu = robust_rotation(from, to, kIterations, &moment);
   // Rotation about one axis only does not determine the angle about it.
   const Eigen::Vector3d spread = Eigen::JacobiSVD<Eigen::Matrix3d>(moment).singularValues();
   constexpr double kLeastSpread = 0.02;
   if (spread[1] < kLeastSpread * spread[0]) {
     throw TimingError(
         "the rotation between IMU and camera is not determined: the recording rotates about one axis only; rotate it "
-        "about "
-        "others too, or give R_cam_imu");
+        "about others too, or give R_cam_imu");
   }
 }
 

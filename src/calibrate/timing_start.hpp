@@ -19,8 +19,6 @@ class TimingStart {
   const std::vector<Eigen::Vector3d>& image_rotations() const { return image_rotations_; }
   /// The same by the gyroscope; NaN where it does not cover the time.
   std::vector<Eigen::Vector3d> gyro_rotations(const TimingState& state) const;
-  /// Seconds from frame to frame.
-  double interval_s(const WindowPoints& points, const TimingState& state) const;
 
   /// Moves the state's offset to where the angular speeds correlate best, and returns the correlation [-1, 1].
   /// @param search_ns  how far

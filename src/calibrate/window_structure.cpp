@@ -16,6 +16,9 @@ constexpr double kInverseDepthScatter = 0.5;
 /// A point that left the image's range costs as much as a gross error.
 constexpr double kGrossPx = 1e3;
 
+/// Cauchy's scale has 95 % efficiency for Gaussian residuals at this many standard deviations.
+constexpr double kCauchyScale = 2.385;
+
 using ProjectionDerivative = Eigen::Matrix<double, 2, 3>;
 
 /// Derivative of the pixel by the ray.
@@ -28,10 +31,6 @@ ProjectionDerivative derivative_of_projection(const Camera& camera, const Eigen:
   // The ray's length does not matter.
   J.col(2) = -(J.col(0) * ray.x() + J.col(1) * ray.y()) / ray.z();
   return J;
-}
-
-double weight_of(const Eigen::Vector2d& residual, double scale_px) {
-  return 1 / (1 + residual.squaredNorm() / (scale_px * scale_px));
 }
 
 /// Weight of a prior with this standard deviation, where a square of pixels costs 1.
@@ -116,6 +115,7 @@ WindowFit::Equations WindowFit::linearise(const WindowStructure& structure, cons
   const Eigen::Index timings = derivatives == nullptr || derivatives->empty() ? 0 : derivatives->front().cols();
   const Eigen::Index size = timings + 3 * frames_s_.size();
   const double depth_weight = prior_weight(priors.noise_px, kInverseDepthScatter);
+  const double scale_px = kCauchyScale * priors.noise_px;
   Equations equations{Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size), {}};
   for (Eigen::Index i = 0; i < structure.inverse_depths.size(); ++i) {
     equations.depths.push_back(
@@ -142,7 +142,7 @@ WindowFit::Equations WindowFit::linearise(const WindowStructure& structure, cons
       J.middleCols<3>(timings + 3 * k) = passage.shares[k] * by_displacement;
     }
     const Eigen::Vector2d by_depth = projection * displacement(i, structure);
-    const double weight = weight_of(residual, kCauchyScale * priors.noise_px);
+    const double weight = 1 / (1 + residual.squaredNorm() / (scale_px * scale_px));
     Equations::Depth& depth = equations.depths[sighting.anchor];
     equations.H.noalias() += weight * J.transpose().lazyProduct(J);
     equations.gradient.noalias() += weight * J.transpose().lazyProduct(residual);

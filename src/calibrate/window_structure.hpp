@@ -72,7 +72,4 @@ class WindowFit {
   Eigen::VectorXd frames_s_;
 };
 
-/// Cauchy's scale has 95 % efficiency for Gaussian residuals at this many standard deviations.
-constexpr double kCauchyScale = 2.385;
-
 }  // namespace gyro_deblur

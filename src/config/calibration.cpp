@@ -5,10 +5,11 @@
 #include <cmath>
 #include <filesystem>
 #include <limits>
-#include <sstream>
 
 #include <Eigen/Geometry>
 
+#include "base/format.hpp"
+#include "base/join.hpp"
 #include "config/calibration_formats.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -19,35 +20,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
-template <typename A, typename B>
-[[noreturn]] void refuse_conflict(const std::string& quantity, const A& a, const std::string& name_a, const B& b,
-                                  const std::string& name_b, const std::string& difference,
+[[noreturn]] void refuse_conflict(const std::string& quantity, const std::string& a, const std::string& name_a,
+                                  const std::string& b, const std::string& name_b, const std::string& difference,
                                   const std::string& allowed) {
-  std::ostringstream text;
-  text << quantity << " is " << a << " in " << name_a << ", but " << b << " in " << name_b << " (they differ by "
-       << difference << ", allowed is " << allowed << ")";
-  throw OptionError(text.str());
+  throw OptionError(quantity + " is " + a + " in " + name_a + ", but " + b + " in " + name_b + " (they differ by " +
+                    difference + ", allowed is " + allowed + ")");
 }
 
 }  // namespace
 
 std::string to_string(const CameraCalibration& camera) {
-  std::ostringstream text;
-  text.precision(10);
-  text << camera.width_px << "x" << camera.height_px << " px, fx " << camera.fx_px << ", fy " << camera.fy_px << ", cx "
-       << camera.cx_px << ", cy " << camera.cy_px << ", " << camera.model << " [";
-  for (std::size_t i = 0; i < camera.coefficients.size(); ++i) text << (i > 0 ? ", " : "") << camera.coefficients[i];
-  text << "]";
-  return text.str();
+  std::vector<std::string> coefficients;
+  for (const double coefficient : camera.coefficients) coefficients.push_back(format("%.10g", coefficient));
+  return format("%dx%d px, fx %.10g, fy %.10g, cx %.10g, cy %.10g, ", camera.width_px, camera.height_px, camera.fx_px,
+                camera.fy_px, camera.cx_px, camera.cy_px) +
+         camera.model + " [" + join(coefficients) + "]";
 }
 
 std::string to_string(const Eigen::Matrix3d& matrix) {
-  static const Eigen::IOFormat kOneLine(6, Eigen::DontAlignCols, ", ", ", ", "", "", "[", "]");
-  std::ostringstream text;
   constexpr double kDigits = 1e9;  // rounding leaves neither 2e-16 nor -0
   const Eigen::Matrix3d rounded = ((matrix * kDigits).array().round() / kDigits + 0.0).matrix();
-  text << rounded.format(kOneLine);
-  return text.str();
+  std::vector<std::string> numbers;
+  for (int i = 0; i < 9; ++i) numbers.push_back(format("%g", rounded(i / 3, i % 3)));
+  return "[" + join(numbers) + "]";
 }
 
 void require_agreement(const CameraCalibration& a, const std::string& name_a, const CameraCalibration& b,
@@ -73,12 +68,7 @@ void require_agreement(const CameraCalibration& a, const std::string& name_a, co
           std::max(largest_px, std::isfinite(distance_px) ? distance_px : std::numeric_limits<double>::infinity());
     }
   }
-  if (!(largest_px <= kAllowedPx)) {
-    std::ostringstream difference;
-    difference.precision(3);
-    difference << "up to " << largest_px << " px in the image";
-    conflict(difference.str());
-  }
+  if (!(largest_px <= kAllowedPx)) conflict(format("up to %.3g px in the image", largest_px));
 }
 
 void require_agreement(const Eigen::Matrix3d& R_cam_imu_a, const std::string& name_a,
@@ -87,11 +77,8 @@ void require_agreement(const Eigen::Matrix3d& R_cam_imu_a, const std::string& na
   const double angle_deg =
       Eigen::AngleAxisd(Eigen::Matrix3d(R_cam_imu_a.transpose() * R_cam_imu_b)).angle() * 180 / M_PI;
   if (angle_deg <= kAllowedDeg) return;
-  std::ostringstream difference;
-  difference.precision(3);
-  difference << angle_deg << " degrees";
-  refuse_conflict("R_cam_imu", to_string(R_cam_imu_a), name_a, to_string(R_cam_imu_b), name_b, difference.str(),
-                  "0.1 degrees");
+  refuse_conflict("R_cam_imu", to_string(R_cam_imu_a), name_a, to_string(R_cam_imu_b), name_b,
+                  format("%.3g degrees", angle_deg), "0.1 degrees");
 }
 
 void require_agreement(const char* quantity, TimeNs a_ns, const std::string& name_a, TimeNs b_ns,
@@ -136,19 +123,16 @@ SensorCalibration merge_calibrations(const std::vector<SensorCalibration>& sourc
   for (const SensorCalibration& source : sources) {
     merged.notes.insert(merged.notes.end(), source.notes.begin(), source.notes.end());
     merged.origin += (merged.origin.empty() ? "" : " and ") + source.origin;
+    const auto same = [](const auto& a, const auto& name_a, const auto& b, const auto& name_b) {
+      require_agreement(a, name_a, b, name_b);
+    };
     const auto same_time = [](const char* quantity) {
       return [quantity](TimeNs a, const std::string& name_a, TimeNs b, const std::string& name_b) {
         require_agreement(quantity, a, name_a, b, name_b);
       };
     };
-    take(merged.camera, camera, source.camera, source.origin,
-         [](const auto& a, const auto& name_a, const auto& b, const auto& name_b) {
-           require_agreement(a, name_a, b, name_b);
-         });
-    take(merged.R_cam_imu, rotation, source.R_cam_imu, source.origin,
-         [](const auto& a, const auto& name_a, const auto& b, const auto& name_b) {
-           require_agreement(a, name_a, b, name_b);
-         });
+    take(merged.camera, camera, source.camera, source.origin, same);
+    take(merged.R_cam_imu, rotation, source.R_cam_imu, source.origin, same);
     // Deblurring takes no notice of where the camera sits, so that a difference does no harm.
     take(merged.p_imu_cam_m, position, source.p_imu_cam_m, source.origin, [](const auto&...) {});
     take(merged.time_offset_ns, offset, source.time_offset_ns, source.origin, same_time("time_offset"));

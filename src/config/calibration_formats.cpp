@@ -13,8 +13,8 @@
 
 #include "base/join.hpp"
 #include "base/require_range.hpp"
-#include "config/calibration_section.hpp"
 #include "config/yaml_reading.hpp"
+#include "config/yaml_section.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 #include "motion/lens_models.hpp"
 
@@ -55,10 +55,6 @@ void set_resolution(const Section& section, const std::string& key, const YAML::
   };
   camera.width_px = pixels(0);
   camera.height_px = pixels(1);
-}
-
-void set_resolution(const Section& section, CameraCalibration& camera) {
-  set_resolution(section, "resolution", section.get("resolution"), camera);
 }
 
 void set_intrinsics(const std::vector<double>& fx_fy_cx_cy, CameraCalibration& camera) {
@@ -146,7 +142,7 @@ const LensModelRow& find_kalibr_model(const Section& section) {
 
 CameraCalibration read_kalibr_camera(const Section& section, SensorCalibration& calibration) {
   CameraCalibration camera;
-  set_resolution(section, camera);
+  set_resolution(section, "resolution", section.get("resolution"), camera);
   const LensModelRow& lens = find_kalibr_model(section);
   camera.model = lens.name;
   std::vector<double> intrinsics = section.numbers("intrinsics", lens.kalibr.in_intrinsics + 4);
@@ -202,7 +198,7 @@ SensorCalibration read_euroc(const Section& root) {
   }
   SensorCalibration calibration;
   CameraCalibration camera;
-  set_resolution(root, camera);
+  set_resolution(root, "resolution", root.get("resolution"), camera);
   set_intrinsics(root.numbers("intrinsics", 4), camera);
   const LensModelRow lens = find_lens_model(root, "distortion_model", root.text("distortion_model"),
                                             [](const LensModelRow& row) { return row.euroc.name; });
@@ -249,52 +245,15 @@ CameraCalibration read_vins_camera(const Section& root) {
 
 /// What else the configurations of VINS-Mono and VINS-Fusion have: topics, the tracker, the estimator.
 void ignore_estimator_keys(const Section& root) {
-  root.ignore({"imu",
-               "num_of_cam",
-               "imu_topic",
-               "image_topic",
-               "image0_topic",
-               "image1_topic",
-               "output_path",
-               "image_width",
-               "image_height",
-               "estimate_extrinsic",
-               "estimate_td",
-               "ex_calib_result_path",
-               "vins_out_path",
-               "multiple_thread",
-               "use_gpu",
-               "use_gpu_acc_flow",
-               "use_gpu_ceres",
-               "max_cnt",
-               "min_dist",
-               "freq",
-               "F_threshold",
-               "show_track",
-               "flow_back",
-               "equalize",
-               "fisheye",
-               "fisheye_mask",
-               "max_solver_time",
-               "max_num_iterations",
-               "keyframe_parallax",
-               "acc_n",
-               "gyr_n",
-               "acc_w",
-               "gyr_w",
-               "g_norm",
-               "loop_closure",
-               "load_previous_pose_graph",
-               "fast_relocalization",
-               "pose_graph_save_path",
-               "pattern_file",
-               "voc_file",
-               "min_loop_num",
-               "rolling_shutter_tr",
-               "extrinsicRotation",
-               "extrinsicTranslation",
-               "save_image",
-               "visualize_imu_forward",
+  root.ignore({"imu", "num_of_cam", "imu_topic", "image_topic", "image0_topic", "image1_topic", "output_path",
+               "image_width", "image_height", "estimate_extrinsic", "estimate_td", "ex_calib_result_path",
+               "rolling_shutter_tr", "extrinsicRotation", "extrinsicTranslation"});
+  root.ignore(
+      {"max_cnt", "min_dist", "freq", "F_threshold", "show_track", "flow_back", "equalize", "fisheye", "fisheye_mask"});
+  root.ignore({"max_solver_time", "max_num_iterations", "keyframe_parallax", "acc_n", "gyr_n", "acc_w", "gyr_w",
+               "g_norm", "multiple_thread", "use_gpu", "use_gpu_acc_flow", "use_gpu_ceres"});
+  root.ignore({"loop_closure", "load_previous_pose_graph", "fast_relocalization", "pose_graph_save_path",
+               "pattern_file", "voc_file", "min_loop_num", "vins_out_path", "save_image", "visualize_imu_forward",
                "visualize_camera_size"});
   static const std::regex kOtherCamera("(body_T_cam\\d+|cam\\d+_calib)");
   for (const auto& entry : root.node()) {
@@ -317,7 +276,8 @@ SensorCalibration read_vins(const Section& root, const std::string& camera_name)
   constexpr int kNotKnown = 2;  // "Don't know anything about extrinsic parameters"
   const bool extrinsic_known = !root.has("estimate_extrinsic") || root.integer("estimate_extrinsic") != kNotKnown;
   if (extrinsic_known && root.has("extrinsicRotation") && !root.has(transform_key)) {
-    calibration.R_cam_imu = root.rotation("extrinsicRotation").transpose();
+    const Eigen::Matrix3d R_imu_cam = root.matrix("extrinsicRotation", 3, 3);
+    calibration.R_cam_imu = require_rotation(root.name("extrinsicRotation").c_str(), R_imu_cam).transpose();
     if (root.has("extrinsicTranslation")) {
       calibration.p_imu_cam_m = Eigen::Vector3d(root.matrix("extrinsicTranslation", 3, 1));
     }

@@ -1,9 +1,8 @@
-// Reads and checks the configuration; names the new parameter if a former name is used.
+// Reads and checks the configuration.
 #include "gyro_deblur/config.hpp"
 
 #include <algorithm>
 #include <filesystem>
-#include <map>
 #include <set>
 #include <sstream>
 #include <tuple>
@@ -135,17 +134,6 @@ YAML::Node unquoted_list(const YAML::Node& node) {
   }
 }
 
-/// Throws OptionError for a value that a parameter had under a former name.
-void refuse_former_value(const std::string& key, const YAML::Node& node) {
-  static const std::map<std::pair<std::string, std::string>, std::string> kPresentValues{
-      {{"engine", "plane"}, "fourier"},
-      {{"regularization", "noise"}, "adaptive"},
-      {{"validation", "paper"}, "gradient"}};
-  if (!node.IsScalar()) return;
-  const auto present = kPresentValues.find({key, node.Scalar()});
-  if (present != kPresentValues.end()) refuse(key, node, "known any more: it is now called " + present->second);
-}
-
 /// Sets what the key says. False: it is not known.
 bool read_key(const std::string& key, const YAML::Node& node, Config* config) {
   bool is_known = false;
@@ -156,7 +144,6 @@ bool read_key(const std::string& key, const YAML::Node& node, Config* config) {
                                      [&](const GivenNumber& given) { return key == given.key; });
     const bool may_be_empty = number != std::end(kGivenNumbers);
     if (may_be_empty && is_empty(node)) return;
-    refuse_former_value(key, node);
     if (may_be_empty) config->given.*number->given = true;
     read(row, unquoted_list<std::decay_t<decltype(value)>>(node), value);
   });
@@ -196,6 +183,31 @@ Config parse_node(const YAML::Node& node, std::vector<std::string>* unknown, con
   }
   config.validate();
   return config;
+}
+
+/// The value of a constant.
+template <typename T>
+std::string to_text(const T& value) {
+  std::ostringstream text;
+  if constexpr (HasNames<T>::value) {
+    text << name_of(value);
+  } else if constexpr (std::is_same_v<T, TimeNs>) {
+    text << to_seconds(value);
+  } else if constexpr (std::is_arithmetic_v<T>) {
+    text << value;
+  }
+  return text.str();
+}
+
+/// "it is VALUE. REASON" if that is a constant's key, else nothing.
+std::string constant_text(const std::string& key) {
+  std::string text;
+  for_each_parameter(Config(), [&](const Row& row, const auto& value) {
+    if (key != row.key || row.change != Change::NEVER) return;
+    const bool has_unit = row.limits && *row.limits->unit != '\0';
+    text = "it is " + to_text(value) + (has_unit ? std::string(" ") + row.limits->unit : "") + ". " + row.text;
+  });
+  return text;
 }
 
 }  // namespace
@@ -244,73 +256,9 @@ void Config::validate() const {
   check_parameters(checked);
 }
 
-namespace {
-
-/// The value of a constant.
-template <typename T>
-std::string to_text(const T& value) {
-  std::ostringstream text;
-  if constexpr (HasNames<T>::value) {
-    text << name_of(value);
-  } else if constexpr (std::is_same_v<T, TimeNs>) {
-    text << to_seconds(value);
-  } else if constexpr (std::is_arithmetic_v<T>) {
-    text << value;
-  }
-  return text.str();
-}
-
-/// "it is VALUE. REASON" if that is a constant's key, else nothing.
-std::string constant_text(const std::string& key) {
-  std::string text;
-  for_each_parameter(Config(), [&](const Row& row, const auto& value) {
-    if (key != row.key || row.change != Change::NEVER) return;
-    const bool has_unit = row.limits && *row.limits->unit != '\0';
-    text = "it is " + to_text(value) + (has_unit ? std::string(" ") + row.limits->unit : "") + ". " + row.text;
-  });
-  return text;
-}
-
-}  // namespace
-
 std::string unknown_key_message(const std::string& key) {
-  static const std::map<std::string, std::string> kPresentNames{{"backend", "engine"},
-                                                                {"descriptor", "keypoint_descriptor"},
-                                                                {"detector", "keypoint_detector"},
-                                                                {"drop_bad", "drop_poor"},
-                                                                {"false_acceptance", "validation_false_accept_rate"},
-                                                                {"gamma", "noise_to_signal_ratio"},
-                                                                {"gamma_rule", "regularization"},
-                                                                {"gyro_timeout", "input_timeout"},
-                                                                {"kernel_length_factor", "filter_length_factor"},
-                                                                {"kernel_smoothing", "filter_smoothing"},
-                                                                {"max_bend", "curved_path_threshold"},
-                                                                {"max_features", "max_keypoints"},
-                                                                {"motion_from_images", "optical_flow"},
-                                                                {"noise_gain", "photon_gain"},
-                                                                {"stereo_patience", "stereo_sync_timeout"}};
-  static const std::string kSeenByImages = "optical_flow sees translation without it";
-  static const std::map<std::string, std::string> kReplacements{
-      {"bridge_gyro_gaps", "it is now called flow_without_gyro, and true is now always"},
-      {"validate", "it is now part of validation, and false is now validation: none"},
-      {"grid_cols", "columns and rows are now keypoint_grid"},
-      {"grid_rows", "columns and rows are now keypoint_grid"},
-      {"scene_depth", kSeenByImages},
-      {"scene_depth_max_age", kSeenByImages},
-      {"odometry_max_age", kSeenByImages},
-      {"odometry_max_speed", kSeenByImages},
-      {"odometry_max_acceleration", kSeenByImages},
-      {"odometry_max_stddev", kSeenByImages},
-      {"odometry_clock", kSeenByImages},
-      {"odometry_twist_frame", kSeenByImages},
-      {"p_cam_imu", kSeenByImages}};
-  const auto present = kPresentNames.find(key);
-  const std::string& name = present == kPresentNames.end() ? key : present->second;
-  const std::string constant = constant_text(name);
-  if (!constant.empty()) return key + " is no parameter any more, ignored: " + constant;
-  if (present != kPresentNames.end()) return key + " is not known, ignored: it is now called " + name;
-  const auto replacement = kReplacements.find(key);
-  return key + " is not known, ignored" + (replacement == kReplacements.end() ? "" : ": " + replacement->second);
+  const std::string constant = constant_text(key);
+  return constant.empty() ? key + " is not known, ignored" : key + " is a constant, ignored: " + constant;
 }
 
 }  // namespace gyro_deblur

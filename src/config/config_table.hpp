@@ -11,28 +11,20 @@
 
 namespace gyro_deblur {
 
-inline const Names<OnCalibrationConflict>& names_of(OnCalibrationConflict) {
-  static const Names<OnCalibrationConflict> kNames{{"error", OnCalibrationConflict::ERROR},
-                                                   {"configured", OnCalibrationConflict::CONFIGURED}};
-  return kNames;
+inline Names<OnCalibrationConflict> names_of(OnCalibrationConflict) {
+  return {{"error", OnCalibrationConflict::ERROR}, {"configured", OnCalibrationConflict::CONFIGURED}};
 }
 
-inline const Names<SelfCalibrationMode>& names_of(SelfCalibrationMode) {
-  static const Names<SelfCalibrationMode> kNames{{"auto", SelfCalibrationMode::AUTO},
-                                                 {"never", SelfCalibrationMode::NEVER}};
-  return kNames;
+inline Names<SelfCalibrationMode> names_of(SelfCalibrationMode) {
+  return {{"auto", SelfCalibrationMode::AUTO}, {"never", SelfCalibrationMode::NEVER}};
 }
 
-inline const Names<OnExposureConflict>& names_of(OnExposureConflict) {
-  static const Names<OnExposureConflict> kNames{{"images", OnExposureConflict::IMAGES},
-                                                {"configured", OnExposureConflict::CONFIGURED}};
-  return kNames;
+inline Names<OnExposureConflict> names_of(OnExposureConflict) {
+  return {{"images", OnExposureConflict::IMAGES}, {"configured", OnExposureConflict::CONFIGURED}};
 }
 
-inline const Names<TrackLayout>& names_of(TrackLayout) {
-  static const Names<TrackLayout> kNames{{"vins_mono", TrackLayout::VINS_MONO},
-                                         {"vins_fusion", TrackLayout::VINS_FUSION}};
-  return kNames;
+inline Names<TrackLayout> names_of(TrackLayout) {
+  return {{"vins_mono", TrackLayout::VINS_MONO}, {"vins_fusion", TrackLayout::VINS_FUSION}};
 }
 
 /// Kind and unit together; the unit is part of the name, so that nobody has to guess it.
@@ -42,24 +34,22 @@ inline bool operator==(const ExposureSource& source, const ExposureMessage& mess
   return source.kind == message.first && source.unit == message.second;
 }
 
-inline const Names<ExposureMessage>& names_of(const ExposureSource&) {
+inline Names<ExposureMessage> names_of(const ExposureSource&) {
   using Kind = ExposureSource::Kind;
-  static const Names<ExposureMessage> kNames{
-      {"auto", {Kind::AUTO, ExposureUnit::SECONDS}},
-      {"message", {Kind::MESSAGE, ExposureUnit::SECONDS}},
-      {"field_us", {Kind::FIELD, ExposureUnit::MICROSECONDS}},
-      {"field_10us", {Kind::FIELD, ExposureUnit::TEN_MICROSECONDS}},
-      {"field_100us", {Kind::FIELD, ExposureUnit::HUNDRED_MICROSECONDS}},
-      {"field_ms", {Kind::FIELD, ExposureUnit::MILLISECONDS}},
-      {"field_s", {Kind::FIELD, ExposureUnit::SECONDS}},
-      {"realsense_metadata_us", {Kind::REALSENSE_METADATA, ExposureUnit::MICROSECONDS}},
-      {"realsense_metadata_100us", {Kind::REALSENSE_METADATA, ExposureUnit::HUNDRED_MICROSECONDS}},
-      {"dynamic_reconfigure_us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MICROSECONDS}},
-      {"dynamic_reconfigure_10us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::TEN_MICROSECONDS}},
-      {"dynamic_reconfigure_100us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::HUNDRED_MICROSECONDS}},
-      {"dynamic_reconfigure_ms", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MILLISECONDS}},
-      {"dynamic_reconfigure_s", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS}}};
-  return kNames;
+  return {{"auto", {Kind::AUTO, ExposureUnit::SECONDS}},
+          {"message", {Kind::MESSAGE, ExposureUnit::SECONDS}},
+          {"field_us", {Kind::FIELD, ExposureUnit::MICROSECONDS}},
+          {"field_10us", {Kind::FIELD, ExposureUnit::TEN_MICROSECONDS}},
+          {"field_100us", {Kind::FIELD, ExposureUnit::HUNDRED_MICROSECONDS}},
+          {"field_ms", {Kind::FIELD, ExposureUnit::MILLISECONDS}},
+          {"field_s", {Kind::FIELD, ExposureUnit::SECONDS}},
+          {"realsense_metadata_us", {Kind::REALSENSE_METADATA, ExposureUnit::MICROSECONDS}},
+          {"realsense_metadata_100us", {Kind::REALSENSE_METADATA, ExposureUnit::HUNDRED_MICROSECONDS}},
+          {"dynamic_reconfigure_us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MICROSECONDS}},
+          {"dynamic_reconfigure_10us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::TEN_MICROSECONDS}},
+          {"dynamic_reconfigure_100us", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::HUNDRED_MICROSECONDS}},
+          {"dynamic_reconfigure_ms", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::MILLISECONDS}},
+          {"dynamic_reconfigure_s", {Kind::DYNAMIC_RECONFIGURE, ExposureUnit::SECONDS}}};
 }
 
 inline void require_allowed(const Row& row, const std::optional<Eigen::Matrix3d>& value) {

@@ -29,15 +29,16 @@ struct BlockFilter {
 struct FilterGrid {
   std::vector<int> x, y;            ///< borders between columns and rows [px], rising from 0 to the image's size
   std::vector<BlockFilter> blocks;  ///< row by row
-  /// Kernels that `blocks` point to and that have no other owner.
-  std::vector<std::shared_ptr<const LineKernel>> own_kernels = {};
-  /// Inverses that `blocks` point to.
-  std::vector<std::shared_ptr<const WienerInverse2d>> own_inverses = {};
+  /// Kernels and inverses that `blocks` point to and that have no other owner.
+  std::vector<std::shared_ptr<const void>> owned = {};
 
   int cols() const { return x.empty() ? 0 : static_cast<int>(x.size()) - 1; }
   int rows() const { return y.empty() ? 0 : static_cast<int>(y.size()) - 1; }
   /// Precondition: 0 <= index < cols() * rows().
-  cv::Rect rect(int index) const;
+  cv::Rect rect(int index) const {
+    const int col = index % cols(), row = index / cols();
+    return {x[col], y[row], x[col + 1] - x[col], y[row + 1] - y[row]};
+  }
 };
 
 /// Number of blocks that an engine filtered with a slower method than most, by reason.

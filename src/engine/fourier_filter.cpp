@@ -243,7 +243,7 @@ void FourierFilter::continue_tile(const Level& level, const Cell& cell, const Fo
   std::copy_n(tile, rows * stride, continued);
   simd_.transform_columns(plan, continued, transform);
   for (int row = 0; row < rows / 2; row += simd_.lanes) {
-    scratch.gain.reblur_gain(row, gain);
+    scratch.gain.rows(row, true, gain);
     simd_.filter_rows(plan, row, gain, 0, cols, continued, transform);
   }
   simd_.restore_columns(plan, 0, cols, continued, transform);
@@ -278,7 +278,7 @@ void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse
     simd_.transform_columns(plan, tile, transform);
   }
   for (int row = 0; row < rows / 2; row += simd_.lanes) {
-    scratch.gain.rows(row, gain);
+    scratch.gain.rows(row, false, gain);
     for (int channel = 0; channel < channels; ++channel) {
       simd_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
     }

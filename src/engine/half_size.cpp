@@ -44,16 +44,6 @@ void downsample2x_row(const cv::Mat& src, int row, std::vector<float>& scratch, 
   }
 }
 
-template <typename Pixel>
-void downsample2x_as(const cv::Mat& src, int threads, cv::Mat& half) {
-  half.create((src.rows + 1) / 2, (src.cols + 1) / 2, CV_32F);
-  constexpr int kRowsAtATime = 16;
-  parallel_for(half.rows, threads, kRowsAtATime, [&](int row) {
-    thread_local std::vector<float> scratch;
-    downsample2x_row<Pixel>(src, row, scratch, half.ptr<float>(row));
-  });
-}
-
 }  // namespace
 
 double lowpass_response(double f) {
@@ -63,11 +53,13 @@ double lowpass_response(double f) {
 }
 
 void downsample2x(const cv::Mat& src, int threads, cv::Mat& half) {
-  if (src.depth() == CV_8U) {
-    downsample2x_as<std::uint8_t>(src, threads, half);
-  } else {
-    downsample2x_as<std::uint16_t>(src, threads, half);
-  }
+  half.create((src.rows + 1) / 2, (src.cols + 1) / 2, CV_32F);
+  const auto make_row = src.depth() == CV_8U ? downsample2x_row<std::uint8_t> : downsample2x_row<std::uint16_t>;
+  constexpr int kRowsAtATime = 16;
+  parallel_for(half.rows, threads, kRowsAtATime, [&](int row) {
+    thread_local std::vector<float> scratch;
+    make_row(src, row, scratch, half.ptr<float>(row));
+  });
 }
 
 cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half) {

@@ -97,15 +97,6 @@ inline void with_count(int count, const Work& work) {
   }
 }
 
-template <typename Pixel>
-Pixel* pixel(cv::Mat& image, int x, int y) {
-  return image.ptr<Pixel>(y) + static_cast<std::ptrdiff_t>(x) * image.channels();
-}
-template <typename Pixel>
-const Pixel* pixel(const cv::Mat& image, int x, int y) {
-  return image.ptr<Pixel>(y) + static_cast<std::ptrdiff_t>(x) * image.channels();
-}
-
 bool same_filter(const BlockFilter& a, const BlockFilter& b) {
   if (a.inverse != nullptr && b.inverse != nullptr) return true;
   if (a.inverse != b.inverse) return false;
@@ -181,7 +172,7 @@ std::array<SeamBlender::Part<Pixel>, 5> SeamBlender::parts(int block, cv::Mat& d
   const auto& [rect, m, offset] = places_[block];
   const cv::Rect inner(rect.x + m.left, rect.y + m.top, rect.width - m.left - m.right, rect.height - m.top - m.bottom);
   std::array<Part<Pixel>, 5> parts;
-  parts[0] = {inner, inner.empty() ? nullptr : pixel<Pixel>(dst, inner.x, inner.y),
+  parts[0] = {inner, inner.empty() ? nullptr : dst.ptr<Pixel>(inner.y, inner.x),
               static_cast<std::ptrdiff_t>(dst.step1())};
   Pixel* to = reinterpret_cast<Pixel*>(results_.data() + offset);
   for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) {
@@ -195,45 +186,30 @@ std::array<SeamBlender::Part<Pixel>, 5> SeamBlender::parts(int block, cv::Mat& d
 template std::array<SeamBlender::Part<std::uint8_t>, 5> SeamBlender::parts(int, cv::Mat&);
 template std::array<SeamBlender::Part<std::uint16_t>, 5> SeamBlender::parts(int, cv::Mat&);
 
-template <typename Pixel>
-void SeamBlender::store(int block, const Pixel* result, cv::Mat& dst) {
-  const cv::Rect whole = reach(block);
-  const std::ptrdiff_t stride = static_cast<std::ptrdiff_t>(whole.width) * channels_;
-  for (const Part<Pixel>& part : parts<Pixel>(block, dst)) {
-    if (part.rect.empty()) continue;  // has no place in memory either
-    const Pixel* from =
-        result + (part.rect.y - whole.y) * stride + static_cast<std::ptrdiff_t>(part.rect.x - whole.x) * channels_;
-    for (int y = 0; y < part.rect.height; ++y) {
-      std::copy_n(from + y * stride, part.rect.width * channels_, part.to + y * part.stride);
+void SeamBlender::store(int block, const cv::Mat& result, cv::Mat& dst, int channel) {
+  const auto store_in = [&](const auto& parts) {
+    for (const auto& part : parts) {
+      if (part.rect.empty()) continue;  // has no place in memory either
+      const cv::Mat from = result(part.rect - reach(block).tl());
+      cv::Mat to(part.rect.size(), dst.type(), part.to, part.stride * sizeof *part.to);
+      if (from.channels() == channels_) {
+        from.copyTo(to);
+      } else {
+        cv::insertChannel(from, to, channel);
+      }
     }
+  };
+  if (dst.depth() == CV_8U) {
+    store_in(parts<std::uint8_t>(block, dst));
+  } else {
+    store_in(parts<std::uint16_t>(block, dst));
   }
 }
-
-template void SeamBlender::store(int, const std::uint8_t*, cv::Mat&);
-template void SeamBlender::store(int, const std::uint16_t*, cv::Mat&);
-
-template <typename Pixel>
-void SeamBlender::store_channel(int block, int channel, const Pixel* result, cv::Mat& dst) {
-  if (channels_ == 1) return store(block, result, dst);
-  const cv::Rect whole = reach(block);
-  for (const Part<Pixel>& part : parts<Pixel>(block, dst)) {
-    if (part.rect.empty()) continue;  // has no place in memory either
-    const Pixel* from =
-        result + static_cast<std::ptrdiff_t>(part.rect.y - whole.y) * whole.width + part.rect.x - whole.x;
-    for (int y = 0; y < part.rect.height; ++y) {
-      Pixel* to = part.to + y * part.stride + channel;
-      for (int x = 0; x < part.rect.width; ++x) to[x * channels_] = from[y * whole.width + x];
-    }
-  }
-}
-
-template void SeamBlender::store_channel(int, int, const std::uint8_t*, cv::Mat&);
-template void SeamBlender::store_channel(int, int, const std::uint16_t*, cv::Mat&);
 
 /// What `block` has at (x, y), which lies in `strip`, and beyond.
 template <typename Pixel>
 SeamBlender::View<Pixel> SeamBlender::view(int block, Strip strip, int x, int y, const cv::Mat& src) const {
-  if (is_copied(block)) return {pixel<Pixel>(src, x, y), static_cast<std::ptrdiff_t>(src.step1())};
+  if (is_copied(block)) return {src.ptr<Pixel>(y, x), static_cast<std::ptrdiff_t>(src.step1())};
   const Pixel* from = reinterpret_cast<const Pixel*>(results_.data() + places_[block].offset);
   for (const Strip before : {TOP, BOTTOM, LEFT}) {
     if (before < strip) from += static_cast<std::ptrdiff_t>(strip_rect(block, before).area()) * channels_;
@@ -259,7 +235,7 @@ void SeamBlender::blend_right(int block, const cv::Mat& src, cv::Mat& dst) const
   with_count(count, [&](auto known) {
     for (int y = 0; y < rect.height; ++y) {
       mix(left.at + y * left.stride + first, right.at + y * right.stride + first, ramp.weights + first, known,
-          pixel<Pixel>(dst, rect.x, rect.y + y) + first);
+          dst.ptr<Pixel>(rect.y + y, rect.x) + first);
     }
   });
 }
@@ -276,7 +252,7 @@ void SeamBlender::blend_below(int block, const cv::Mat& src, cv::Mat& dst) const
   const View<Pixel> upper = view<Pixel>(block, BOTTOM, x, y0, src), lower = view<Pixel>(below, TOP, x, y0, src);
   for (int i = upper_copied ? m.bottom : 0; i < (lower_copied ? m.bottom : 2 * m.bottom); ++i) {
     mix(upper.at + i * upper.stride, lower.at + i * lower.stride, ramp_weight(m.bottom, i), count,
-        pixel<Pixel>(dst, x, y0 + i));
+        dst.ptr<Pixel>(y0 + i, x));
   }
 }
 
@@ -301,7 +277,7 @@ void SeamBlender::blend_corner(int block, const cv::Mat& src, cv::Mat& dst) cons
       for (int i = first_row; i < end_row; ++i) {
         const auto from = [&](const View<Pixel>& view) { return view.at + i * view.stride + first; };
         mix_four(from(views[0][0]), from(views[0][1]), from(views[1][0]), from(views[1][1]), ramp.weights + first,
-                 ramp_weight(m.bottom, i), known, pixel<Pixel>(dst, corner.x, corner.y + i) + first);
+                 ramp_weight(m.bottom, i), known, dst.ptr<Pixel>(corner.y + i, corner.x) + first);
       }
     });
   };
@@ -336,8 +312,8 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
         const int of_y = dy == 0  ? kOne
                          : dy < 0 ? fade_weight(m.top, y - rect.y)
                                   : fade_weight(m.bottom, rect.br().y - 1 - y);
-        const Pixel* from = pixel<Pixel>(src, x0, y);
-        Pixel* to = pixel<Pixel>(dst, x0, y);
+        const Pixel* from = src.ptr<Pixel>(y, x0);
+        Pixel* to = dst.ptr<Pixel>(y, x0);
         const int count = (x1 - x0) * channels_;
         if (dx == 0) {
           mix(to, from, of_y, count, to);

@@ -49,13 +49,8 @@ class SeamBlender {
   template <typename Pixel>
   std::array<Part<Pixel>, 5> parts(int block, cv::Mat& dst);
 
-  /// Stores a filtered block at once. `result`: the pixels of its reach, row by row.
-  template <typename Pixel>
-  void store(int block, const Pixel* result, cv::Mat& dst);
-
-  /// Stores one channel of it. `result`: that channel, row by row.
-  template <typename Pixel>
-  void store_channel(int block, int channel, const Pixel* result, cv::Mat& dst);
+  /// Stores a filtered block at once. `result`: the pixels of its reach, or one channel of them, which is `channel`.
+  void store(int block, const cv::Mat& result, cv::Mat& dst, int channel = 0);
 
   /// Blends what is stored into `dst`, in which copied blocks hold the input. `src` is the input.
   void blend(const cv::Mat& src, int threads, cv::Mat& dst) const;

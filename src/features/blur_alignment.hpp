@@ -78,10 +78,9 @@ class BlurAligner {
   /// Pixels with room behind each row (alignment_simd.hpp).
   class Patch {
    public:
-    /// Keeps no pixels.
+    /// All pixels are 0, unless it had this size. The room behind each row is 0, as long as only 0 has been written
+    /// there.
     void resize(int width, int height);
-    /// As resize(). The room behind each row is 0, as long as only 0 has been written there.
-    void resize_with_empty_room(int width, int height);
     int width() const { return width_; }
     int height() const { return height_; }
     int size() const { return width_ * height_; }
@@ -108,10 +107,9 @@ class BlurAligner {
   };
   /// PSF of a path: the pixels that are read for one that is written.
   struct Psf {
-    Pixels shares;                             // sums to 1
-    std::vector<std::pair<int, int>> columns;  // first and last that are not 0, by row
-    Box reach;                                 // of `shares`, relative to the written pixel
-    float energy = 0;                          // sum of the squared shares
+    Pixels shares;     // sums to 1
+    Box reach;         // of `shares`, relative to the written pixel
+    float energy = 0;  // sum of the squared shares
   };
   /// Part of an image, blurred.
   struct Region {

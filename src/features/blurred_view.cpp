@@ -2,7 +2,6 @@
 #include "features/blurred_view.hpp"
 
 #include <algorithm>
-#include <cmath>
 
 #include <opencv2/imgproc.hpp>
 
@@ -21,21 +20,16 @@ double noise_of(const cv::Mat& luminance, const FrameBlur* field) {
 /// Means over 3 x 3 blocks: the scatter of single ones is larger than what the scene changes from block to block.
 std::vector<BlurredView::Residual> smoothed_residuals(const FrameBlur& field) {
   std::vector<BlurredView::Residual> residuals;
-  const int cols = field.grid.cols(), rows = field.grid.rows();
-  for (int row = 0; row < rows; ++row) {
-    for (int col = 0; col < cols; ++col) {
-      Eigen::Vector2d sum_px_s = Eigen::Vector2d::Zero();
-      int count = 0;
-      for (int y = std::max(0, row - 1); y <= std::min(rows - 1, row + 1); ++y) {
-        for (int x = std::max(0, col - 1); x <= std::min(cols - 1, col + 1); ++x) {
-          const BlockBlur& block = field.blocks[static_cast<std::size_t>(y * cols + x)];
-          if (!block.residual) continue;
-          sum_px_s += block.residual->velocity_px_s;
-          ++count;
-        }
-      }
-      residuals.push_back({sum_px_s / std::max(1, count), count > 0});
-    }
+  for (int i = 0; i < field.grid.size(); ++i) {
+    Eigen::Vector2d sum_px_s = Eigen::Vector2d::Zero();
+    int count = 0;
+    field.grid.for_each_around(i, [&](int around) {
+      const BlockBlur& block = field.blocks[static_cast<std::size_t>(around)];
+      if (!block.residual) return;
+      sum_px_s += block.residual->velocity_px_s;
+      ++count;
+    });
+    residuals.push_back({sum_px_s / std::max(1, count), count > 0});
   }
   return residuals;
 }
@@ -90,24 +84,23 @@ BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Eigen:
 
 PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
                              const BlurredView& to, const CameraMotion& motion) {
-  bool by_residual = true;
+  PredictedPoint predicted{place_px, Eigen::Matrix2d::Identity(), true};
   const auto predict = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
     const Eigen::Vector2d rotated_px =
         predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure()).value_or(at_px);
     const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(rotated_px);
-    by_residual = by_residual && (before.is_known || now.is_known);
+    predicted.by_residual = predicted.by_residual && (before.is_known || now.is_known);
     const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);
     const double seconds = to_seconds(to.exposure().middle(rotated_px.y()) - from.exposure().middle(at_px.y()));
     return rotated_px + seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
   };
   constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
-  PredictedPoint predicted{predict(place_px), Eigen::Matrix2d::Identity(), false};
+  predicted.place_px = predict(place_px);
   for (int axis = 0; axis < 2; ++axis) {
     const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis);
     predicted.map.col(axis) = (predict(place_px + step_px) - predict(place_px - step_px)) / (2 * kHalfStepPx);
   }
   if (!predicted.map.allFinite()) predicted.map.setIdentity();
-  predicted.by_residual = by_residual;
   return predicted;
 }
 

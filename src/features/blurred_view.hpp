@@ -40,9 +40,6 @@ class BlurredView {
   /// @param ray  direction of the place
   BlurredPoint point_at(const Eigen::Vector2d& place_px, const Eigen::Vector3d& ray, const Camera& camera,
                         const CameraMotion& motion) const;
-  BlurredPoint point_at(const Eigen::Vector2d& place_px, const Camera& camera, const CameraMotion& motion) const {
-    return point_at(place_px, camera.ray(place_px), camera, motion);
-  }
 
  private:
   cv::Mat luminance_;
@@ -66,9 +63,5 @@ struct PredictedPoint {
 /// @param rays  around the place
 PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
                              const BlurredView& to, const CameraMotion& motion);
-inline PredictedPoint predict_point(const Eigen::Vector2d& place_px, const BlurredView& from, const BlurredView& to,
-                                    const Camera& camera, const CameraMotion& motion) {
-  return predict_point(place_px, NearbyRays(camera, place_px), from, to, motion);
-}
 
 }  // namespace gyro_deblur

@@ -27,6 +27,14 @@ cv::Mat downsample2x(const cv::Mat& image, int threads) {
   return half;
 }
 
+cv::Mat shrink_mask(const cv::Mat& used, const cv::Size& size, int window_px) {
+  constexpr int kWholly = 255;
+  cv::Mat share, usable;
+  cv::resize(used, share, size, 0, 0, cv::INTER_AREA);
+  cv::erode(share == kWholly, usable, cv::getStructuringElement(cv::MORPH_RECT, {window_px, window_px}));
+  return usable;
+}
+
 std::vector<cv::Mat> corner_pyramid(const cv::Mat& image, int window_px, int levels) {
   std::vector<cv::Mat> pyramid;
   constexpr bool kWithDerivatives = true, kReuseInput = true;  // never the input's memory: it is the caller's

@@ -19,6 +19,11 @@ struct CornerSearch {
 /// @param threads  at most; 0: one for each core
 cv::Mat downsample2x(const cv::Mat& image, int threads);
 
+/// Where a corner of a smaller image may be: 255, so that no masked pixel is in its window, else 0.
+/// @param used  of a PixelMask
+/// @param size  of the smaller image
+cv::Mat shrink_mask(const cv::Mat& used, const cv::Size& size, int window_px);
+
 /// With derivatives, for follow_there_and_back(); a copy of the image's pixels.
 /// @param image  CV_8UC1
 std::vector<cv::Mat> corner_pyramid(const cv::Mat& image, int window_px, int levels);

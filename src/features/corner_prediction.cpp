@@ -4,29 +4,24 @@
 #include <algorithm>
 
 namespace gyro_deblur {
+namespace {
 
-std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
-                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns) {
-  return rotated_ray(camera.ray(pixel_px), motion, from_ns, to_ns);
+std::optional<Eigen::Vector2d> pixel_of(const Eigen::Vector3d& ray, const Camera& camera, const CameraMotion& motion,
+                                        TimeNs from_ns, TimeNs to_ns) {
+  const auto rotated = rotated_ray(ray, motion, from_ns, to_ns);
+  if (!rotated) return std::nullopt;
+  const Eigen::Vector2d at_px = camera.project(*rotated);
+  if (!at_px.allFinite()) return std::nullopt;
+  return at_px;
 }
+
+}  // namespace
 
 std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
                                            TimeNs to_ns) {
   if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
   return motion.rotation(from_ns, to_ns) * ray;
 }
-
-namespace {
-
-std::optional<Eigen::Vector2d> pixel_of(const Eigen::Vector3d& ray, const Camera& camera, const CameraMotion& motion,
-                                        TimeNs from_ns, TimeNs to_ns) {
-  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
-  const Eigen::Vector2d at_px = camera.project(motion.rotation(from_ns, to_ns) * ray);
-  if (!at_px.allFinite()) return std::nullopt;
-  return at_px;
-}
-
-}  // namespace
 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from, TimeNs to_ns) {

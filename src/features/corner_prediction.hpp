@@ -11,12 +11,8 @@
 
 namespace gyro_deblur {
 
-/// Direction, at `to_ns`, of what the pixel saw at `from_ns`, by the camera's rotation; nothing where that is not
-/// known.
-std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector2d& pixel_px, const Camera& camera,
-                                           const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns);
-
-/// The same of a direction.
+/// Direction, at `to_ns`, of what was in direction `ray` at `from_ns`, by the camera's rotation; nothing where that is
+/// not known.
 std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
                                            TimeNs to_ns);
 

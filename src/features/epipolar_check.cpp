@@ -2,7 +2,6 @@
 #include "features/epipolar_check.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <random>

@@ -9,13 +9,10 @@
 #include <string>
 #include <utility>
 
-#include <Eigen/Dense>
-
 #include "features/blurred_view.hpp"
 #include "features/corner_detector.hpp"
 #include "features/corner_prediction.hpp"
 #include "features/epipolar_check.hpp"
-#include "features/remembered_motion.hpp"
 #include "features/track_search.hpp"
 
 namespace gyro_deblur {
@@ -50,11 +47,9 @@ FeatureTracker::~FeatureTracker() = default;
 void FeatureTracker::set_options(const TrackerOptions& options) {
   options.validate();
   if (options.window_px != options_.window_px) with_used_window_.release();
+  if (options.window_px != options_.window_px || options.levels != options_.levels) search_->reset();
   options_ = options;
-  search_->set_options(options);
 }
-
-void FeatureTracker::set_threads(int threads) { search_->set_threads(threads); }
 
 void FeatureTracker::set_mask(const PixelMask& mask) {
   if (mask.is_same(mask_)) return;
@@ -66,7 +61,6 @@ void FeatureTracker::reset() {
   tracks_.clear();
   states_.clear();
   view_.reset();
-  search_->reset();
 }
 
 std::optional<TimeRange> FeatureTracker::newest_frame() const {
@@ -76,7 +70,8 @@ std::optional<TimeRange> FeatureTracker::newest_frame() const {
 
 const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const Camera& camera,
                                                 const CameraMotion& motion, const RowExposure& exposure,
-                                                const FrameBlur* field) {
+                                                const FrameBlur* field, bool repeats) {
+  if (repeats && view_ && view_->exposure().start(0) == exposure.start(0)) return tracks_;
   const CameraCalibration& calibration = camera.calibration();
   if (luminance.type() != CV_8UC1 || luminance.cols != calibration.width_px ||
       luminance.rows != calibration.height_px) {
@@ -100,25 +95,16 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
   return tracks_;
 }
 
-const std::vector<Track>& FeatureTracker::track_again(const cv::Mat& luminance, const Camera& camera,
-                                                      const CameraMotion& motion, const RowExposure& exposure,
-                                                      const FrameBlur* field) {
-  const bool is_newest = view_ && view_->exposure().start(0) == exposure.start(0);
-  return is_newest ? tracks_ : track(luminance, camera, motion, exposure, field);
-}
-
 void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, const Camera& camera,
-                            const CameraMotion& motion_of_camera) {
+                            const CameraMotion& motion) {
   const double dt_s = to_seconds(view->exposure().start(0) - view_->exposure().start(0));
-  const RememberedMotion motion(motion_of_camera);
-  std::vector<Eigen::Vector3d> rays_before;
-  for (const TrackState& state : states_) rays_before.push_back(state.ray);
+  const std::vector<TrackState> before = states_;
   const std::vector<TrackCandidate> candidates =
-      search_->follow({*view_, *view, camera, motion_of_camera, dt_s}, &states_);
+      search_->follow({*view_, *view, camera, motion, dt_s, options_, threads_}, &states_);
   const cv::Size size = view->luminance().size();
   std::vector<Track> tracks;
   std::vector<TrackState> states;
-  std::vector<Eigen::Vector3d> rotated_rays;
+  std::vector<Eigen::Vector3d> rotated_rays, rays;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     if (!candidates[i].found) continue;
     Track track = tracks_[i];
@@ -126,9 +112,10 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     const Eigen::Vector2d& at_px = state.point.place_px;
     if (!inside(at_px, size) || !mask_.uses({cvRound(at_px.x()), cvRound(at_px.y())})) continue;
     if (!state.ray.allFinite()) continue;
-    rotated_rays.push_back(rotated_ray(rays_before[i], motion, view_->exposure().middle(track.pixel_px.y()),
+    rotated_rays.push_back(rotated_ray(before[i].ray, motion, view_->exposure().middle(track.pixel_px.y()),
                                        view->exposure().middle(at_px.y()))
-                               .value_or(rays_before[i]));
+                               .value_or(before[i].ray));
+    rays.push_back(state.ray);
     state.unpredicted_px_s.reset();
     if (!candidates[i].predicted.by_residual) {
       state.unpredicted_px_s = (candidates[i].found->place_px - candidates[i].predicted.place_px) / dt_s;
@@ -143,24 +130,15 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     tracks.push_back(track);
     states.push_back(state);
   }
-  tracks_ = std::move(tracks);
-  states_ = std::move(states);
-  check_geometry(camera, rotated_rays);
-}
-
-void FeatureTracker::check_geometry(const Camera& camera, const std::vector<Eigen::Vector3d>& rotated_rays) {
-  std::vector<Eigen::Vector3d> rays;
-  for (const TrackState& state : states_) rays.push_back(state.ray);
   const std::vector<char> agrees_with_others =
       agree_with_epipolar_geometry(rotated_rays, rays, camera.calibration().fx_px, options_.max_epipolar_px);
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+  tracks_.clear();
+  states_.clear();
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
     if (!agrees_with_others[i]) continue;
-    tracks_[kept] = tracks_[i];
-    states_[kept++] = states_[i];
+    tracks_.push_back(tracks[i]);
+    states_.push_back(states[i]);
   }
-  tracks_.resize(kept);
-  states_.resize(kept);
 }
 
 void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view, const Camera& camera,

@@ -2,16 +2,11 @@
 #include "features/gyro_unit_watch.hpp"
 
 namespace gyro_deblur {
-namespace {
-
-constexpr TimeNs kUnitWatchedNs = 5'000'000'000;
-
-}  // namespace
 
 void GyroUnitWatch::add(TimeNs t_ns, const ResidualRotation& seen) {
   if (!entries_.empty() && t_ns <= entries_.back().t_ns) entries_.clear();
   entries_.push_back({t_ns, seen});
-  while (t_ns - entries_.front().t_ns > kUnitWatchedNs) entries_.pop_front();
+  while (t_ns - entries_.front().t_ns > kWatchedNs) entries_.pop_front();
   // What rotates more slowly is seen with an error of as much.
   constexpr double kLeastRadS = 0.05;
   const double gyro_rad_s = seen.known_rad_s.norm(), seen_rad_s = seen.rate_rad_s.norm();
@@ -26,7 +21,7 @@ void GyroUnitWatch::clear() {
 
 bool GyroUnitWatch::is_uncertain(TimeNs t_ns) {
   if (!begin_ns_ || t_ns < *begin_ns_) begin_ns_ = t_ns;
-  return !is_confirmed() && t_ns - *begin_ns_ < kUnitWatchedNs;
+  return !is_confirmed() && t_ns - *begin_ns_ < kWatchedNs;
 }
 
 std::optional<GyroUnitFault> GyroUnitWatch::find(bool rates_are_zero) const {

@@ -44,6 +44,7 @@ class GyroUnitWatch {
 
  private:
   static constexpr std::size_t kConfirming = 3;
+  static constexpr TimeNs kWatchedNs = 5'000'000'000;
   struct Entry {
     TimeNs t_ns;
     ResidualRotation seen;

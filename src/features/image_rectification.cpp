@@ -7,11 +7,11 @@
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
-#include <string>
 #include <vector>
 
 #include <opencv2/imgproc.hpp>
 
+#include "base/format.hpp"
 #include "base/parallel.hpp"
 #include "features/point_motion.hpp"
 
@@ -26,14 +26,6 @@ Eigen::Vector4f cubic_weights(double u) {
   return Eigen::Vector4d(0.5 * u * (u * (2 - u) - 1), 0.5 * (u * u * (3 * u - 5) + 2), 0.5 * u * (u * (4 - 3 * u) + 1),
                          0.5 * u * u * (u - 1))
       .cast<float>();
-}
-
-/// Weights of the four nodes around a cell for each of its pixels, which lie half a pixel behind their begin.
-using CellWeights = Eigen::Matrix<float, kStepPx, 4>;
-CellWeights weights_of_cell() {
-  CellWeights weights;
-  for (int i = 0; i < kStepPx; ++i) weights.row(i) = cubic_weights((i + 0.5) / kStepPx);
-  return weights;
 }
 
 /// Where nodes are in x, or y: the first is outside the image, and the second half a pixel before its first pixel.
@@ -170,15 +162,19 @@ GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera
       move_px += step_px;
       for (int i = 0; i < iterations; ++i) move_px = interpolate(moves_px, pixel_px - move_px);
       if (col > 0) step_px = move_px - before_px;
-      const Eigen::Vector2d from_px = pixel_px - move_px;
-      map.nodes_px_.at<cv::Vec2f>(row, col) = to_node(from_px);
+      map.nodes_px_.at<cv::Vec2f>(row, col) = to_node(pixel_px - move_px);
     }
   });
   return map;
 }
 
 void GlobalShutterMap::fill(int begin, cv::Mat* x_px, cv::Mat* y_px) const {
-  static const CellWeights weights = weights_of_cell();
+  // Of the four nodes around a cell for each of its pixels, which lie half a pixel behind their begin.
+  static const auto weights = [] {
+    Eigen::Matrix<float, kStepPx, 4> of_pixels;
+    for (int i = 0; i < kStepPx; ++i) of_pixels.row(i) = cubic_weights((i + 0.5) / kStepPx);
+    return of_pixels;
+  }();
   Eigen::Matrix2Xf of_row(2, nodes_px_.cols);
   for (int y = 0; y < x_px->rows; ++y) {
     const Between rows = between(begin + y, nodes_px_.rows);
@@ -197,14 +193,12 @@ void GlobalShutterMap::fill(int begin, cv::Mat* x_px, cv::Mat* y_px) const {
   }
 }
 
-cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border, int threads) {
+cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, int threads) {
   if (map.empty() || image.size() != map.size() || (image.depth() != CV_8U && image.depth() != CV_16U)) {
-    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
-                                " px, OpenCV depth " + std::to_string(image.depth()) + ", does not fit a map of " +
-                                std::to_string(map.size().width) + "x" + std::to_string(map.size().height) + " px");
+    throw std::invalid_argument(format("image of %dx%d px, OpenCV depth %d, does not fit a map of %dx%d px", image.cols,
+                                       image.rows, image.depth(), map.size().width, map.size().height));
   }
   cv::Mat moved(image.size(), image.type());
-  const int border_type = border == ImageBorder::REPLICATE ? cv::BORDER_REPLICATE : cv::BORDER_CONSTANT;
   const int whole_cells_px = (image.cols + kStepPx - 1) / kStepPx * kStepPx;
   // The map of so many rows stays in the fast caches.
   constexpr int kRows = 16;
@@ -213,8 +207,7 @@ cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, Ima
     cv::Mat rows = moved.rowRange(begin, std::min(begin + kRows, image.rows));
     cv::Mat x_px(rows.rows, whole_cells_px, CV_32FC1), y_px(rows.rows, whole_cells_px, CV_32FC1);
     map.fill(begin, &x_px, &y_px);
-    cv::remap(image, rows, x_px.colRange(0, image.cols), y_px.colRange(0, image.cols), cv::INTER_LINEAR, border_type,
-              cv::Scalar::all(0));
+    cv::remap(image, rows, x_px.colRange(0, image.cols), y_px.colRange(0, image.cols), cv::INTER_LINEAR);
   });
   return moved;
 }

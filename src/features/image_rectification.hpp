@@ -8,8 +8,6 @@
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/image_format.hpp"
-#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -17,10 +15,8 @@ namespace gyro_deblur {
 /// Where a global-shutter image takes its pixels from: known at nodes, cubic between them.
 class GlobalShutterMap {
  public:
-  static constexpr int kStepPx =
-      16;  ///< between nodes; the centres of blocks of 32 px and its multiples are among them
-
-  GlobalShutterMap() = default;
+  /// Between nodes. The centres of blocks of 32 px and its multiples are among them.
+  static constexpr int kStepPx = 16;
 
   /// Nothing is known.
   bool empty() const { return nodes_px_.empty(); }
@@ -33,7 +29,7 @@ class GlobalShutterMap {
  private:
   friend GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
                                              const RowExposure& exposure, TimeNs reference_ns, int threads);
-  friend cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border, int threads);
+  friend cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, int threads);
   /// Where the pixels of rows [begin, begin + x_px.rows) come from: CV_32FC1 as wide as whole cells of nodes.
   void fill(int begin, cv::Mat* x_px, cv::Mat* y_px) const;
 
@@ -55,11 +51,10 @@ bool is_global_shutter(const RowExposure& exposure, TimeNs reference_ns);
 GlobalShutterMap global_shutter_map(const FrameBlur& field, const Camera& camera, const CameraMotion& motion,
                                     const RowExposure& exposure, TimeNs reference_ns, int threads = 0);
 
-/// The image resampled by the map, once and bilinearly.
-/// @param image   CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32767 px; not a Bayer mosaic
-/// @param border  value of pixels that the map takes from outside the image
+/// The image resampled by the map, once and bilinearly. Pixels that the map takes from outside the image are black,
+/// which shows where the image ends.
+/// @param image  CV_8U or CV_16U of the map's size, 1, 3 or 4 channels, sides below 32767 px; not a Bayer mosaic
 /// Throws std::invalid_argument when image and map do not fit, or the map is empty.
-cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, ImageBorder border = ImageBorder::BLACK,
-                          int threads = 0);
+cv::Mat to_global_shutter(const cv::Mat& image, const GlobalShutterMap& map, int threads = 0);
 
 }  // namespace gyro_deblur

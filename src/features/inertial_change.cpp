@@ -6,21 +6,13 @@
 #include <utility>
 
 namespace gyro_deblur {
-namespace {
-
-/// For so long comparisons count: the scene's depth stays much the same.
-constexpr double kMemoryS = 0.5;
-/// Standard deviation of a change of acceleration, by noise and by the distance between accelerometer and camera. 0.6
-/// m/s^2 corresponds to 4 cm at the angular acceleration of a hand.
-constexpr double kAccelerationStddev_m_s2 = 0.6;
-
-}  // namespace
 
 double InertialChange::inverse_depth_1_m() const {
   return energy_ > 0 ? std::max(explained_ / (energy_ + noise_energy_), 0.0) : 0;
 }
 
 Eigen::Vector2d InertialChange::beyond_even(const Step& step) {
+  constexpr double kMemoryS = 0.5;  // the scene's depth stays much the same for so long
   const double kept = std::exp(-step.step_s / kMemoryS);
   explained_ *= kept;
   energy_ *= kept;
@@ -36,6 +28,9 @@ Eigen::Vector2d InertialChange::beyond_even(const Step& step) {
   // A camera that moves to the right sees its scene move to the left.
   const Eigen::Vector2d expected_px_m_s2 =
       -step.px_per_ray * (acceleration_m_s2 - step.R_now_before * *acceleration_before_m_s2);
+  // Standard deviation of a change of acceleration, by noise and by the distance between accelerometer and camera. 0.6
+  // m/s^2 corresponds to 4 cm at the angular acceleration of a hand.
+  constexpr double kAccelerationStddev_m_s2 = 0.6;
   noise_energy_ = kAccelerationStddev_m_s2 * kAccelerationStddev_m_s2 * step.px_per_ray.squaredNorm() / 2;
   explained_ += expected_px_m_s2.dot(*step.acceleration_changed_px_s2);
   energy_ += expected_px_m_s2.squaredNorm();

@@ -34,18 +34,13 @@ constexpr int kEverything = 1000000;
 // Below this no detector has room for its patch.
 constexpr int kMinSidePx = 16;
 
-/// With an OpenCV that has no SIFT there is none to make; the build says which it is.
-cv::Ptr<cv::Feature2D> make_sift() {
-#if GYRO_DEBLUR_SIFT
-  return cv::SIFT::create(0, kSiftOctaveLayers, kSiftContrastThreshold, kSiftEdgeThreshold, kSiftSigma);
-#else
-  return nullptr;
-#endif
-}
-
 /// Null for a name that is not known here.
 cv::Ptr<cv::Feature2D> make_feature(const std::string& name, int wanted) {
-  if (name == "SIFT") return make_sift();
+#if GYRO_DEBLUR_SIFT  // whether OpenCV has it
+  if (name == "SIFT") {
+    return cv::SIFT::create(0, kSiftOctaveLayers, kSiftContrastThreshold, kSiftEdgeThreshold, kSiftSigma);
+  }
+#endif
   if (name == "ORB") {
     // Harris score, 8 levels 1.2 apart and 31 px patches are OpenCV's defaults, after Rublee et al. 2011.
     return cv::ORB::create(wanted, 1.2f, 8, 31, 0, 2, cv::ORB::HARRIS_SCORE, 31, kFastThreshold);
@@ -97,15 +92,10 @@ std::vector<cv::KeyPoint> select(const std::vector<cv::KeyPoint>& sorted, const 
     keep[i] = true;
     ++kept;
   }
-  for (std::size_t i = 0; i < sorted.size() && kept < limit; ++i) {
-    if (keep[i]) continue;
-    keep[i] = true;
-    ++kept;
-  }
   std::vector<cv::KeyPoint> selected;
-  selected.reserve(kept);
+  selected.reserve(limit);
   for (std::size_t i = 0; i < sorted.size(); ++i) {
-    if (keep[i]) selected.push_back(sorted[i]);
+    if (keep[i] || kept++ < limit) selected.push_back(sorted[i]);
   }
   return selected;
 }
@@ -127,19 +117,16 @@ void sort_by_strength(Features& features) {
   features = sorted;
 }
 
-/// Gives the keypoints of another detector the octave that SIFT reads: which image of its pyramid to describe in. By
+/// The keypoints of another detector with the octave that SIFT reads: which image of its pyramid to describe in. By
 /// SIFT's own rule, size = 2 sigma 2^octave; what others store there may name an octave the pyramid does not have, and
-/// OpenCV does not check. Returns the former values.
-std::vector<int> assign_sift_octaves(const cv::Size& size, std::vector<cv::KeyPoint>& keypoints) {
+/// OpenCV does not check.
+std::vector<cv::KeyPoint> with_sift_octaves(const cv::Size& size, std::vector<cv::KeyPoint> keypoints) {
   // The last octave that OpenCV builds: a quarter of the side left, as in its own detector.
   const int last = std::max(cvRound(std::log2(std::min(size.width, size.height)) - 2), 0);
-  std::vector<int> former;
-  former.reserve(keypoints.size());
   for (cv::KeyPoint& keypoint : keypoints) {
-    former.push_back(keypoint.octave);
     keypoint.octave = std::clamp(static_cast<int>(std::log2(keypoint.size / (2 * kSiftSigma))), 0, last);
   }
-  return former;
+  return keypoints;
 }
 
 }  // namespace
@@ -188,10 +175,9 @@ Features FeatureExtractor::extract(const cv::Mat& luminance, const PixelMask& ma
   features.keypoints = select(found, luminance.size(), options_);
   if (!descriptor_ || features.keypoints.empty()) return features;
   if (options_.descriptor == "SIFT" && options_.detector != "SIFT") {
-    const std::vector<int> octaves = assign_sift_octaves(luminance.size(), features.keypoints);
-    descriptor_->compute(luminance, features.keypoints, features.descriptors);
-    if (features.keypoints.size() != octaves.size()) throw std::logic_error("SIFT dropped keypoints it was given");
-    for (std::size_t i = 0; i < octaves.size(); ++i) features.keypoints[i].octave = octaves[i];
+    std::vector<cv::KeyPoint> given = with_sift_octaves(luminance.size(), features.keypoints);
+    descriptor_->compute(luminance, given, features.descriptors);
+    if (given.size() != features.keypoints.size()) throw std::logic_error("SIFT dropped keypoints it was given");
   } else {
     // Drops keypoints whose patch leaves the image, in step with the rows of the descriptors.
     descriptor_->compute(luminance, features.keypoints, features.descriptors);

@@ -11,8 +11,6 @@ namespace gyro_deblur {
 /// camera.
 class NearbyRays {
  public:
-  NearbyRays(const Camera& camera, const Eigen::Vector2d& pixel_px)
-      : NearbyRays(camera, pixel_px, camera.ray(pixel_px)) {}
   /// @param ray  of the pixel, z = 1; NaN: each pixel is undistorted from scratch
   NearbyRays(const Camera& camera, const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray);
 

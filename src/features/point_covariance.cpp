@@ -5,11 +5,8 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <stdexcept>
 
 #include <Eigen/Dense>
-
-#include "gyro_deblur/keypoints.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -78,15 +75,7 @@ const PointErrors kCornerErrors{5.6, 2, 0.048, 0.045, 0.158, 0.118, 1.1, 0, 0.03
 
 PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& field)
     : luminance_(luminance), field_(field) {
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("covariances want 8-bit luminance of the blur field's size");
-  }
-}
-
-Eigen::Matrix2d PointCovariance::of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const {
-  return at({keypoint.pt.x, keypoint.pt.y}, corner_radius_px(keypoint, detector),
-            detector == "SIFT" || detector == "AKAZE" ? kBlobErrors : kCornerErrors);
+  field.grid.require_luminance(luminance, "keypoint covariance");
 }
 
 Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radius_px,

@@ -1,8 +1,6 @@
 // How exactly it is known where a feature of a deblurred image is.
 #pragma once
 
-#include <string>
-
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
@@ -50,13 +48,8 @@ class PointCovariance {
   /// Throws std::invalid_argument when they do not fit.
   PointCovariance(const cv::Mat& luminance, const FrameBlur& field);
 
-  /// Covariance [px^2] of a detected keypoint, relative to where the same detector finds it in a sharp image without
+  /// Covariance [px^2] of a feature at a pixel, relative to where the same detector finds it in a sharp image without
   /// noise.
-  /// @param keypoint  in pixels of the image
-  /// @param detector  name as in KeypointOptions::detector
-  Eigen::Matrix2d of_keypoint(const cv::KeyPoint& keypoint, const std::string& detector) const;
-
-  /// Covariance [px^2] at a pixel.
   /// @param radius_px  of the window, > 0
   Eigen::Matrix2d at(const Eigen::Vector2d& pixel_px, double radius_px, const PointErrors& errors) const;
 

@@ -1,4 +1,5 @@
-// Where a point of an image is at another instant: the one rule by which keypoints and whole images are rectified.
+// Where a point of an image is at another instant: the one rule by which keypoints and whole images are rectified
+// (paper section III-C).
 #pragma once
 
 #include <optional>
@@ -7,7 +8,9 @@
 #include <Eigen/Core>
 
 #include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -55,5 +58,16 @@ class PointMotion {
   bool images_alone_;
   std::vector<Mean> blocks_;
 };
+
+/// Takes points to `reference_ns` from the middle of their row's exposure: from where the scene point was then, which
+/// is where the image shows it less BlockBlur::apparent_offset_px().
+/// Points in REJECTED blocks are not rectified (paper section III-D), nor those in NO_GYRO blocks, those between whose
+/// time and the reference time the motion is not known, and those that leave the range of the lens model; other points
+/// are.
+/// @param points_px  raw pixels, finite
+/// @param field      of the whole image (at least one block)
+std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& points_px, const FrameBlur& field,
+                                           const Camera& camera, const CameraMotion& motion,
+                                           const RowExposure& exposure, TimeNs reference_ns);
 
 }  // namespace gyro_deblur

@@ -4,13 +4,13 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <optional>
 
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
 
-/// Remembers rotations: all points of a global shutter's image share theirs. Refers to the motion. Not thread-safe.
+/// Remembers rotations: all points of a global shutter's image share theirs. Refers to the motion, of
+/// which it knows rotations alone: velocity_gain() gives nothing. Not thread-safe.
 class RememberedMotion : public CameraMotion {
  public:
   explicit RememberedMotion(const CameraMotion& motion) : motion_(motion) {}
@@ -22,9 +22,6 @@ class RememberedMotion : public CameraMotion {
       entry = {true, from_ns, to_ns, motion_.rotation(from_ns, to_ns)};
     }
     return entry.rotation;
-  }
-  std::optional<VelocityGain> velocity_gain(TimeNs from_ns, TimeNs to_ns) const override {
-    return motion_.velocity_gain(from_ns, to_ns);
   }
 
  private:

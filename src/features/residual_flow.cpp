@@ -21,6 +21,19 @@
 namespace gyro_deblur {
 namespace {
 
+// How corners are followed. Lengths are pixels of the image halved until it is no wider than kLargestWidthPx. The
+// values left the smallest error on recorded flights (experiments/optical_flow); in a larger image blur is longer.
+constexpr int kLargestWidthPx = 250, kWindowPx = 9, kLevels = 2, kSearchIterations = 6;
+constexpr int kCellPx = 16, kCornersOfCell = 4;  // at most so many in a cell
+constexpr double kMinDistancePx = 6;
+constexpr double kMaxRoundTripPx = 0.4;      // how far from its start a corner may end up when followed back
+constexpr std::size_t kCornersOfPlane = 20;  // that a block's velocity is a plane through
+constexpr int kIterationsOfPlane = 3;
+/// A velocity that differs from the scene's is that of an object: this difference, times the distance from where it is
+/// seen over kObjectReachPx, is a part of its standard deviation.
+constexpr double kObjectReachPx = 48;
+constexpr double kSlopePrior = 0.02;  // how many corners at the farthest neighbour's distance speak for no slope
+
 constexpr double kCornerQuality = 0.01;
 /// The search stops below this step, in the smaller image: corners are less accurate there.
 constexpr double kLeastStepPx = 0.03;
@@ -46,10 +59,10 @@ std::uint64_t distance_key(float distance_px2, std::size_t index) {
 }
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
-bool has_window(const cv::Point2f& p, const cv::Size& size, int window_px) {
-  const auto half_px = static_cast<float>(window_px / 2);
-  return p.x >= half_px && p.y >= half_px && p.x <= static_cast<float>(size.width - 1) - half_px &&
-         p.y <= static_cast<float>(size.height - 1) - half_px;
+bool has_window(const cv::Point2f& p, const cv::Size& size) {
+  constexpr float kHalfPx = kWindowPx / 2;
+  return p.x >= kHalfPx && p.y >= kHalfPx && p.x <= static_cast<float>(size.width - 1) - kHalfPx &&
+         p.y <= static_cast<float>(size.height - 1) - kHalfPx;
 }
 
 /// Middle of the middle row's exposure, the instant of an image.
@@ -59,19 +72,15 @@ TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
 
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
 /// @param usable  CV_8UC1 of the image's size: 0 where no corner is wanted; or empty
-std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat& usable,
-                                            const ResidualFlowOptions& options) {
+std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat& usable) {
   constexpr int kNeighbourhoodPx = 3;
-  const auto cells_along = [&](int length_px) {
-    return std::max(1, (length_px + options.cell_px / 2) / options.cell_px);
-  };
+  const auto cells_along = [](int length_px) { return std::max(1, (length_px + kCellPx / 2) / kCellPx); };
   const int columns = cells_along(image.cols), rows = cells_along(image.rows);
   cv::Mat strength, largest;
   cv::cornerMinEigenVal(image, strength, kNeighbourhoodPx);
   cv::dilate(strength, largest, cv::Mat());
-  const double least_px2 = options.min_distance_px * options.min_distance_px;
-  const int half_px = options.window_px / 2;
-  const cv::Rect with_window(half_px, half_px, image.cols - 2 * half_px, image.rows - 2 * half_px);
+  constexpr int kHalfPx = kWindowPx / 2;
+  const cv::Rect with_window(kHalfPx, kHalfPx, image.cols - 2 * kHalfPx, image.rows - 2 * kHalfPx);
   std::vector<cv::Point2f> corners;
   std::vector<std::pair<float, cv::Point2f>> candidates;
   for (int row = 0; row < rows; ++row) {
@@ -94,9 +103,9 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat&
                        [](const auto& a, const auto& b) { return a.first > b.first; });
       const std::size_t of_others = corners.size();
       for (const auto& [value, place] : candidates) {
-        if (value < kCornerQuality * best || corners.size() == of_others + options.corners_of_cell) break;
+        if (value < kCornerQuality * best || corners.size() == of_others + kCornersOfCell) break;
         const auto is_near = [&, at = place](const cv::Point2f& corner) {
-          return (corner - at).dot(corner - at) < least_px2;
+          return (corner - at).dot(corner - at) < kMinDistancePx * kMinDistancePx;
         };
         if (std::none_of(corners.begin() + static_cast<std::ptrdiff_t>(of_others), corners.end(), is_near)) {
           corners.push_back(place);
@@ -125,17 +134,6 @@ void ResidualFlow::set_mask(const PixelMask& mask) {
   usable_.release();
 }
 
-void ResidualFlow::shrink_mask(const cv::Size& size) {
-  if (mask_.empty() || usable_.size() == size) return;
-  cv::Mat share;
-  cv::resize(mask_.pixels(), share, size, 0, 0, cv::INTER_AREA);
-  // Each halving smooths over two pixels to either side.
-  constexpr int kSmoothedPx = 2;
-  constexpr int kWholly = 255;
-  const int side_px = options_.window_px + 2 * kSmoothedPx;
-  cv::erode(share == kWholly, usable_, cv::getStructuringElement(cv::MORPH_RECT, {side_px, side_px}));
-}
-
 void ResidualFlow::correct_exposure(const Camera& camera, const RowExposure& exposure) {
   if (!exposure_) return;
   // The mean of the velocities is halfway from the image before, which stays where it is.
@@ -144,19 +142,15 @@ void ResidualFlow::correct_exposure(const Camera& camera, const RowExposure& exp
 }
 
 void ResidualFlow::reset() {
-  exposure_.reset();
-  samples_.clear();
-  corners_.clear();
-  means_.clear();
-  newest_.clear();
-  accelerations_.clear();
-  inertial_.clear();
+  ResidualFlow fresh;
+  fresh.mask_ = mask_;
+  fresh.whole_ = whole_;
+  *this = std::move(fresh);
 }
 
 void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known) {
   whole_ = known != nullptr;
-  ResidualField before = std::move(means_);
-  means_.clear();
+  ResidualField before = std::exchange(means_, {});
   newest_.clear();
   accelerations_.clear();
   inertial_.clear();
@@ -173,12 +167,6 @@ void ResidualFlow::change_motion(const Camera& camera, const BlockGrid& grid, co
   }
   means_ = std::move(before);
   mean_ns_ = middle_of(*exposure_, camera);
-}
-
-cv::Mat ResidualFlow::shrink(const cv::Mat& luminance, int threads) {
-  cv::Mat small = luminance;
-  for (scale_ = 1; small.cols > options_.largest_width_px; scale_ *= 2) small = downsample2x(small, threads);
-  return small;
 }
 
 ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
@@ -213,9 +201,14 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
 
 bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure, const BlockGrid& grid, int threads) {
-  const cv::Mat small = shrink(luminance, threads);
-  shrink_mask(small.size());
-  std::vector<cv::Mat> pyramid = corner_pyramid(small, options_.window_px, options_.levels);
+  cv::Mat small = luminance;
+  for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) small = downsample2x(small, threads);
+  if (!mask_.empty() && usable_.size() != small.size()) {
+    // Each halving smooths over two pixels to either side.
+    constexpr int kSmoothedPx = 2;
+    usable_ = shrink_mask(mask_.pixels(), small.size(), kWindowPx + 2 * kSmoothedPx);
+  }
+  std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
   const bool follows = exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size();
   if (!follows) corners_.clear();
   constexpr std::ptrdiff_t kCornersAtATime = 32;
@@ -225,7 +218,7 @@ bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camer
   // The longest piece of work comes first.
   parallel_for(1 + static_cast<int>(parts.size()), threads, 1, [&](int i) {
     if (i == 0) {
-      corners = corners_everywhere(small, usable_, options_);
+      corners = corners_everywhere(small, usable_);
       return;
     }
     const std::ptrdiff_t begin = (i - 1) * kCornersAtATime, end = std::min(begin + kCornersAtATime, count);
@@ -309,10 +302,9 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
   }
   // As an arrow in the image it rotates, and grows towards the border, with the camera's rotation.
   constexpr double kArrowS = 0.01;
-  const RowExposure& then = *exposure_;
-  const TimeNs then_ns = then.middle(there_px->y());
-  const auto foot = rotated_ray(*there_px, camera, motion, then_ns, now_ns);
-  const auto head = rotated_ray(*there_px + kArrowS * velocity_px_s, camera, motion, then_ns, now_ns);
+  const TimeNs then_ns = exposure_->middle(there_px->y());
+  const auto foot = rotated_ray(camera.ray(*there_px), motion, then_ns, now_ns);
+  const auto head = rotated_ray(camera.ray(*there_px + kArrowS * velocity_px_s), motion, then_ns, now_ns);
   if (!foot || !head) return std::nullopt;
   const Eigen::Vector2d rotated_px_s = (camera.project(*head) - camera.project(*foot)) / kArrowS;
   if (!rotated_px_s.allFinite()) return std::nullopt;
@@ -334,19 +326,19 @@ ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Po
       if (mean) *at += to_seconds(exposure.start(0) - exposure_->start(0)) * mean->velocity_px_s;
     }
     const cv::Point2f start_px(static_cast<float>(at->x()) / scale, static_cast<float>(at->y()) / scale);
-    if (!has_window(corner, size, options_.window_px) || !has_window(start_px, size, options_.window_px)) continue;
+    if (!has_window(corner, size) || !has_window(start_px, size)) continue;
     before.push_back(corner);
     start.push_back(start_px);
   }
   const CornerSearch search{
-      options_.window_px, options_.levels,
-      cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, options_.iterations, kLeastStepPx),
-      options_.max_round_trip_px};
+      kWindowPx, kLevels,
+      cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kSearchIterations, kLeastStepPx),
+      kMaxRoundTripPx};
   const FollowedCorners corners = follow_there_and_back(pyramid_, pyramid, before, start, search);
   const std::vector<cv::Point2f>& after = corners.places;
   FollowedPart followed{before.size(), {}};
   for (std::size_t i = 0; i < after.size(); ++i) {
-    if (!corners.found[i] || !has_window(after[i], size, options_.window_px)) continue;
+    if (!corners.found[i] || !has_window(after[i], size)) continue;
     if (!usable_.empty() && usable_.at<uchar>(cvRound(after[i].y), cvRound(after[i].x)) == 0) continue;
     Eigen::Vector2d from_px(scale * before[i].x, scale * before[i].y);
     Eigen::Vector2d pixel_px(scale * after[i].x, scale * after[i].y);
@@ -368,17 +360,16 @@ ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Po
 
 ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
   ResidualField velocities(static_cast<std::size_t>(grid.size()));
-  const auto count = static_cast<std::size_t>(options_.neighbours);
-  if (samples_.size() < count) return velocities;
+  if (samples_.size() < kCornersOfPlane) return velocities;
   const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
   NearbyVelocities everywhere;
   everywhere.resize(samples_.size());
   for (std::size_t k = 0; k < samples_.size(); ++k) everywhere.set(k, samples_[k].pixel_px, samples_[k].velocity_px_s);
-  const VelocityPlane scene = fit_plane(everywhere, options_.iterations_of_plane, options_.slope_prior);
+  const VelocityPlane scene = fit_plane(everywhere, kIterationsOfPlane, kSlopePrior);
   parallel_for(grid.rows(), threads, 1, [&](int row) {
     std::vector<std::uint64_t> by_distance(samples_.size());  // see distance_key
     NearbyVelocities nearest;
-    nearest.resize(count);
+    nearest.resize(kCornersOfPlane);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
       const Eigen::Vector2d center_px = grid.center(i);
       const auto x_px = static_cast<float>(center_px.x()), y_px = static_cast<float>(center_px.y());
@@ -386,20 +377,19 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
         const float off_x = everywhere.x_px[k] - x_px, off_y = everywhere.y_px[k] - y_px;
         by_distance[k] = distance_key(off_x * off_x + off_y * off_y, k);
       }
-      std::nth_element(by_distance.begin(), by_distance.begin() + options_.neighbours - 1, by_distance.end());
-      for (std::size_t k = 0; k < count; ++k) {
+      std::nth_element(by_distance.begin(), by_distance.begin() + kCornersOfPlane - 1, by_distance.end());
+      for (std::size_t k = 0; k < kCornersOfPlane; ++k) {
         const Sample& sample = samples_[by_distance[k] & kIndexBits];
         nearest.set(k, sample.pixel_px - center_px, sample.velocity_px_s);
       }
       const float reach_px2 = std::max(nearest.distance_px2.back(), 1.0f);
-      for (std::size_t k = 0; k < count; ++k) {
+      for (std::size_t k = 0; k < kCornersOfPlane; ++k) {
         nearest.nearness[k] = 1 / (1 + nearest.distance_px2[k] / (kNearShare * reach_px2));
       }
-      const VelocityPlane plane = fit_plane(nearest, options_.iterations_of_plane, options_.slope_prior);
+      const VelocityPlane plane = fit_plane(nearest, kIterationsOfPlane, kSlopePrior);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
-      const double uncertainty_px_s =
-          from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * options_.object_reach_px);
+      const double uncertainty_px_s = from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * kObjectReachPx);
       velocities[static_cast<std::size_t>(i)] = {velocity_px_s,
                                                  std::hypot(plane.stddev_px_s, floor_px_s, uncertainty_px_s)};
     }

@@ -19,31 +19,9 @@
 
 namespace gyro_deblur {
 
-/// How corners are followed. Lengths are pixels of the image halved until it is no wider than largest_width_px. The
-/// values left the smallest error on recorded flights (experiments/optical_flow); in a larger image blur is
-/// longer.
-struct ResidualFlowOptions {
-  int largest_width_px = 250;
-  int cell_px = 16;
-  int corners_of_cell = 4;  ///< at most
-  double min_distance_px = 6;
-  int window_px = 9;
-  int levels = 2;
-  int iterations = 6;
-  double max_round_trip_px = 0.4;  ///< how far from its start a corner may end up when followed back
-  int neighbours = 20;             ///< corners that a block's velocity is a plane through
-  int iterations_of_plane = 3;
-  /// A velocity that differs from the scene's is that of an object: this difference, times the distance from where it
-  /// is seen over object_reach_px, is a part of its standard deviation.
-  double object_reach_px = 48;
-  double slope_prior = 0.02;  ///< how many corners at the farthest neighbour's distance speak for no slope
-};
-
 /// Residual velocities of the images of one camera. Not thread-safe.
 class ResidualFlow {
  public:
-  explicit ResidualFlow(const ResidualFlowOptions& options = {}) : options_(options) {}
-
   /// From the next image on corners are those whose window has no masked pixel.
   /// @param mask  empty, or of the camera's size
   void set_mask(const PixelMask& mask);
@@ -61,8 +39,7 @@ class ResidualFlow {
   /// @param grid       of the blocks
   /// @param threads    at most; 0: one for each core
   /// @return of each block of this image, at the middle of its exposure: the mean since the image before, extrapolated
-  /// by
-  ///         what has changed since the one before that and by the accelerometer, see common_changes() and
+  ///         by what has changed since the one before that and by the accelerometer, see common_changes() and
   ///         InertialChange; nothing where too few corners are near
   ResidualField follow(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                        const RowExposure& exposure, const BlockGrid& grid, int threads = 0);
@@ -87,10 +64,6 @@ class ResidualFlow {
   void change_motion(const Camera& camera, const BlockGrid& grid, const CameraMotion* known);
 
  private:
-  ResidualFlowOptions options_;
-  cv::Mat shrink(const cv::Mat& luminance, int threads);
-  /// Works usable_ out for a smaller image of this size.
-  void shrink_mask(const cv::Size& size);
   /// Makes samples_ of the corners of the image before, and finds those of this one.
   /// @return false where there is no image before, or one of another size
   bool follow_and_find_corners(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,

@@ -24,12 +24,6 @@ struct Row {
   double weight;  // one over its variance
 };
 
-Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
-  Eigen::Matrix3d m;
-  m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-  return m;
-}
-
 /// Geman-McClure with the scale of the residuals themselves.
 Eigen::Vector3d robust_fit(const std::vector<Row>& rows) {
   constexpr int kIterations = 5;
@@ -63,47 +57,6 @@ double energy_less(const std::vector<Row>& rows, const Eigen::Vector3d& x) {
   }
   return energy / weights;
 }
-
-}  // namespace
-
-std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& residuals, const BlockGrid& grid,
-                                                      const Camera& camera, const CameraMotion& motion,
-                                                      const RowExposure& exposure) {
-  const double middle_row = 0.5 * (grid.height_px() - 1);
-  const TimeRange exposed{exposure.start(middle_row), exposure.end(middle_row)};
-  if (residuals.empty() || !motion.covers(exposed)) return std::nullopt;
-  // Neighbouring blocks have their velocities from the same corners: a regular part of many blocks knows as much.
-  constexpr double kEnoughBlocks = 96;
-  const int step = std::max(1, static_cast<int>(std::sqrt(grid.size() / kEnoughBlocks)));
-  std::vector<Row> rotated, moved;
-  std::size_t looked_at = 0;
-  for (std::size_t i = 0; i < residuals.size(); ++i) {
-    const int row = static_cast<int>(i) / grid.cols(), col = static_cast<int>(i) % grid.cols();
-    if (row % step != 0 || col % step != 0) continue;
-    ++looked_at;
-    if (!residuals[i]) continue;
-    const Eigen::Vector3d ray = camera.ray(grid.center(static_cast<int>(i)));
-    if (!ray.allFinite()) continue;
-    const Columns jacobian = projection_jacobian(camera, ray);
-    if (!jacobian.allFinite()) continue;
-    const double weight = 1 / (residuals[i]->stddev_px_s * residuals[i]->stddev_px_s);
-    // In a camera that rotates by w and moves by t, the direction r at depth d moves by -w x r and -t / d.
-    rotated.push_back({jacobian * cross_matrix(ray), residuals[i]->velocity_px_s, weight});
-    moved.push_back({-jacobian, residuals[i]->velocity_px_s, weight});
-  }
-  if (rotated.empty() || 2 * rotated.size() < looked_at) return std::nullopt;
-  ResidualRotation rotation;
-  rotation.rate_rad_s = robust_fit(rotated);
-  // Directions rotate in the opposite direction to the camera.
-  const Eigen::AngleAxisd known(motion.rotation(exposed.begin_ns, exposed.end_ns));
-  rotation.known_rad_s = -known.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * known.axis();
-  rotation.energy_px2_s2 = energy_less(rotated, Eigen::Vector3d::Zero());
-  rotation.energy_less_rotation_px2_s2 = energy_less(rotated, rotation.rate_rad_s);
-  rotation.energy_less_translation_px2_s2 = energy_less(moved, robust_fit(moved));
-  return rotation;
-}
-
-namespace {
 
 constexpr TimeNs kWatchedNs = 10'000'000'000, kLeastNs = 5'000'000'000;
 /// After a longer break it is another recording.
@@ -168,6 +121,43 @@ bool stands_out(const std::vector<Watched>& watched, const Unknowns& unknowns, i
 }
 
 }  // namespace
+
+std::optional<ResidualRotation> fit_residual_rotation(const ResidualField& residuals, const BlockGrid& grid,
+                                                      const Camera& camera, const CameraMotion& motion,
+                                                      const RowExposure& exposure) {
+  const double middle_row = 0.5 * (grid.height_px() - 1);
+  const TimeRange exposed{exposure.start(middle_row), exposure.end(middle_row)};
+  if (residuals.empty() || !motion.covers(exposed)) return std::nullopt;
+  // Neighbouring blocks have their velocities from the same corners: a regular part of many blocks knows as much.
+  constexpr double kEnoughBlocks = 96;
+  const int step = std::max(1, static_cast<int>(std::sqrt(grid.size() / kEnoughBlocks)));
+  std::vector<Row> rotated, moved;
+  std::size_t looked_at = 0;
+  for (std::size_t i = 0; i < residuals.size(); ++i) {
+    const int row = static_cast<int>(i) / grid.cols(), col = static_cast<int>(i) % grid.cols();
+    if (row % step != 0 || col % step != 0) continue;
+    ++looked_at;
+    if (!residuals[i]) continue;
+    const Eigen::Vector3d ray = camera.ray(grid.center(static_cast<int>(i)));
+    if (!ray.allFinite()) continue;
+    const Columns jacobian = projection_jacobian(camera, ray);
+    if (!jacobian.allFinite()) continue;
+    const double weight = 1 / (residuals[i]->stddev_px_s * residuals[i]->stddev_px_s);
+    // In a camera that rotates by w and moves by t, the direction r at depth d moves by -w x r and -t / d.
+    rotated.push_back({jacobian * cross_matrix(ray), residuals[i]->velocity_px_s, weight});
+    moved.push_back({-jacobian, residuals[i]->velocity_px_s, weight});
+  }
+  if (rotated.empty() || 2 * rotated.size() < looked_at) return std::nullopt;
+  ResidualRotation rotation;
+  rotation.rate_rad_s = robust_fit(rotated);
+  // Directions rotate in the opposite direction to the camera.
+  const Eigen::AngleAxisd known(motion.rotation(exposed.begin_ns, exposed.end_ns));
+  rotation.known_rad_s = -known.angle() / to_seconds(exposed.end_ns - exposed.begin_ns) * known.axis();
+  rotation.energy_px2_s2 = energy_less(rotated, Eigen::Vector3d::Zero());
+  rotation.energy_less_rotation_px2_s2 = energy_less(rotated, rotation.rate_rad_s);
+  rotation.energy_less_translation_px2_s2 = energy_less(moved, robust_fit(moved));
+  return rotation;
+}
 
 void GyroErrorWatch::add(TimeNs t_ns, const ResidualRotation& rotation) {
   if (!entries_.empty() && (t_ns <= entries_.back().t_ns || t_ns - entries_.back().t_ns > kLongestBreakNs)) clear();

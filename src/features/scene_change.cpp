@@ -1,7 +1,6 @@
 // Fits the common change of residual velocities between two images.
 #include "features/scene_change.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <complex>
 

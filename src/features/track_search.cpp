@@ -63,7 +63,6 @@ bool is_sharp(const TrackState& state) {
 }
 
 cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
-Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
 
 }  // namespace
 
@@ -81,7 +80,6 @@ struct TrackSearch::Thread {
   const TrackStep& step;
   const RememberedMotion& motion;
   BlurAligner& aligner;
-  int window_px;
 
   BlurredPoint point_at(const Eigen::Vector2d& place_px, const NearbyRays& rays) const {
     return step.now.point_at(place_px, rays.ray(place_px), step.camera, motion);
@@ -93,11 +91,11 @@ struct TrackSearch::Thread {
     candidate->predicted = predict_point(place_px, rays, step.before, step.now, motion);
     candidate->predicted.map += step.seconds * state.unpredicted_slope_1_s;
     const double row = candidate->predicted.place_px.y();
-    candidate->near_ray =
+    Eigen::Vector3d ray =
         rotated_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
             .value_or(state.ray);
-    candidate->near_ray /= candidate->near_ray.z();
-    candidate->near_px = step.camera.project(candidate->near_ray);
+    ray /= ray.z();
+    candidate->near.emplace(step.camera, step.camera.project(ray), ray);
   }
 
   std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const Eigen::Vector2d& start_px,
@@ -105,12 +103,12 @@ struct TrackSearch::Thread {
     // Within this distance paths differ by less than a hundredth of their length.
     constexpr double kSamePathPx = 3;
     if (!((start_px - candidate->near_start.place_px).norm() < kSamePathPx)) {
-      candidate->near_start = point_at(start_px, NearbyRays(step.camera, candidate->near_px, candidate->near_ray));
+      candidate->near_start = point_at(start_px, *candidate->near);
     }
     BlurredPoint in_to = candidate->near_start;
     in_to.place_px = start_px;
     AlignmentOptions options;
-    options.window_px = window_for(in_from.path_px, in_to.path_px, window_px);
+    options.window_px = window_for(in_from.path_px, in_to.path_px, step.options.window_px);
     std::optional<Alignment> found;
     if (serves_at_half_size(in_from, in_to)) {
       options.window_px = half_size_window_px(options.window_px);
@@ -127,16 +125,13 @@ struct TrackSearch::Thread {
     if (!is_usable(*found)) return std::nullopt;
     return found;
   }
-  std::optional<Alignment> find_from_anchor(const TrackState& state, const Eigen::Vector2d& start_px,
-                                            const Eigen::Matrix2d& map, TrackCandidate* candidate) const {
-    return find(*state.anchor_view, state.anchor, start_px, map, candidate);
-  }
 
   /// By the older template alone where that is enough, or else by the image before.
   void find(const TrackState& state, const Eigen::Vector2d& start_px, TrackCandidate* candidate) const {
     candidate->by_anchor = false;
     if (state.anchor_age > 0 && is_sharp(state)) {
-      candidate->found = find_from_anchor(state, start_px, candidate->predicted.map * state.anchor_map, candidate);
+      candidate->found =
+          find(*state.anchor_view, state.anchor, start_px, candidate->predicted.map * state.anchor_map, candidate);
       candidate->by_anchor = candidate->found && stddev_px(*candidate->found) < kClearPx;
       if (candidate->by_anchor) return;
     }
@@ -153,14 +148,13 @@ struct TrackSearch::Thread {
     state->point.place_px = candidate->found->place_px;
     ++state->anchor_age;
     if (!candidate->by_anchor && state->anchor_age > 1) hold_down_drift(state, candidate);
-    const NearbyRays rays(step.camera, candidate->near_px, candidate->near_ray);
-    state->ray = rays.ray(state->point.place_px);
+    state->ray = candidate->near->ray(state->point.place_px);
     state->point = step.now.point_at(state->point.place_px, state->ray, step.camera, motion);
   }
 
   /// Improves what was found from the image before by the older template, where the two agree.
   void hold_down_drift(TrackState* state, TrackCandidate* candidate) const {
-    const auto found = find_from_anchor(*state, state->point.place_px, state->anchor_map, candidate);
+    const auto found = find(*state->anchor_view, state->anchor, state->point.place_px, state->anchor_map, candidate);
     if (!found) return;
     constexpr double kMaxMahalanobis = 13.8;  // of two degrees of freedom: 99.9 %
     const Eigen::Vector2d difference_px = found->place_px - state->point.place_px;
@@ -172,20 +166,15 @@ struct TrackSearch::Thread {
   }
 };
 
-void TrackSearch::set_options(const TrackerOptions& options) {
-  if (options.window_px != options_.window_px || options.levels != options_.levels) pyramid_.clear();
-  options_ = options;
-}
-
 template <typename Body>
 void TrackSearch::for_each(std::size_t count, const TrackStep& step, Body&& body) {
   constexpr int kPointsAtATime = 4;
-  const int used = threads_or_all(threads_);
+  const int used = threads_or_all(step.threads);
   aligners_.resize(static_cast<std::size_t>(used));
   const std::vector<RememberedMotion> motions(static_cast<std::size_t>(used), RememberedMotion(step.motion));
   parallel_for(static_cast<int>(count), used, kPointsAtATime, [&](int i, int thread) {
     const auto index = static_cast<std::size_t>(thread);
-    body(static_cast<std::size_t>(i), Thread{step, motions[index], aligners_[index], options_.window_px});
+    body(static_cast<std::size_t>(i), Thread{step, motions[index], aligners_[index]});
   });
 }
 
@@ -199,8 +188,7 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
     TrackCandidate& candidate = candidates[i];
     const TrackState& state = states[i];
     thread.predict(state, &candidate);
-    candidate.near_start =
-        thread.point_at(candidate.predicted.place_px, NearbyRays(step.camera, candidate.near_px, candidate.near_ray));
+    candidate.near_start = thread.point_at(candidate.predicted.place_px, *candidate.near);
     Eigen::Vector2d start_px = candidate.predicted.place_px;
     if (!candidate.predicted.by_residual) {
       if (of_last.empty()) return;
@@ -236,19 +224,21 @@ void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState
     start.push_back(to_cv((*candidates)[i].predicted.place_px));
   }
   if (open.empty()) return;
+  const TrackerOptions& options = step.options;
   if (pyramid_before_.empty()) {
-    pyramid_before_ = corner_pyramid(step.before.luminance(), options_.window_px, options_.levels);
+    pyramid_before_ = corner_pyramid(step.before.luminance(), options.window_px, options.levels);
   }
-  pyramid_ = corner_pyramid(step.now.luminance(), options_.window_px, options_.levels);
+  pyramid_ = corner_pyramid(step.now.luminance(), options.window_px, options.levels);
   const FollowedCorners corners = follow_there_and_back(
       pyramid_before_, pyramid_, before, start,
-      {options_.window_px, options_.levels,
+      {options.window_px, options.levels,
        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.05),  // a start: the alignment follows
-       options_.max_round_trip_px});
+       options.max_round_trip_px});
   for_each(open.size(), step, [&](std::size_t k, const Thread& thread) {
     TrackCandidate& candidate = (*candidates)[open[k]];
     if (candidate.predicted.by_residual && !corners.found[k]) return;
-    const Eigen::Vector2d start_px = corners.found[k] ? to_eigen(corners.places[k]) : candidate.predicted.place_px;
+    const Eigen::Vector2d start_px =
+        corners.found[k] ? Eigen::Vector2d(corners.places[k].x, corners.places[k].y) : candidate.predicted.place_px;
     thread.find(states[open[k]], start_px, &candidate);
   });
 }
@@ -282,7 +272,7 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
 }
 
 std::vector<TrackCandidate> TrackSearch::follow(const TrackStep& step, std::vector<TrackState>* states) {
-  const AwakeHelpers helpers(threads_);
+  const AwakeHelpers helpers(step.threads);
   pyramid_before_ = std::move(pyramid_);
   pyramid_.clear();
   std::vector<TrackCandidate> candidates = search(step, *states);

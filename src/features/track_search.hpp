@@ -12,6 +12,7 @@
 
 #include "features/blur_alignment.hpp"
 #include "features/blurred_view.hpp"
+#include "features/nearby_rays.hpp"
 #include "features/remembered_motion.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/options.hpp"
@@ -60,14 +61,15 @@ struct TrackStep {
   const Camera& camera;
   const CameraMotion& motion;
   double seconds;  ///< > 0
+  const TrackerOptions& options;
+  int threads;  ///< >= 0; 0: one for each core
 };
 
 /// A track in the new image.
 struct TrackCandidate {
-  PredictedPoint predicted;  ///< its map includes the track's last deviation from the predicted slope
-  Eigen::Vector2d near_px;   ///< a place whose direction is known
-  Eigen::Vector3d near_ray;  ///< z = 1
-  BlurredPoint near_start;   ///< the path of a point about there
+  PredictedPoint predicted;        ///< its map includes the track's last deviation from the predicted slope
+  std::optional<NearbyRays> near;  ///< around the predicted place
+  BlurredPoint near_start;         ///< the path of a point about there
   std::optional<Alignment> found;
   bool by_anchor = false;  ///< found from the older template, which needs no other
 };
@@ -75,9 +77,6 @@ struct TrackCandidate {
 /// Finds points, on several threads. Keeps its buffers. Not thread-safe.
 class TrackSearch {
  public:
-  /// @param threads  >= 0; 0: one for each core
-  void set_threads(int threads) { threads_ = threads; }
-  void set_options(const TrackerOptions& options);
   /// Forgets the image before.
   void reset() { pyramid_.clear(); }
 
@@ -99,8 +98,6 @@ class TrackSearch {
   /// Again, with what the points that were found say of the motion around each, and takes the states there.
   void refine(const TrackStep& step, std::vector<TrackCandidate>* candidates, std::vector<TrackState>* states);
 
-  int threads_ = 1;
-  TrackerOptions options_;
   std::vector<BlurAligner> aligners_;  // of the threads
   std::vector<cv::Mat> pyramid_;       // of the newest image; empty: not made
   std::vector<cv::Mat> pyramid_before_;

@@ -124,10 +124,9 @@ VelocityPlane fit_plane(const NearbyVelocities& velocities, int iterations, doub
   const float reach_px2 = *std::max_element(velocities.distance_px2.begin(), velocities.distance_px2.end());
   const float per_px = 1 / std::sqrt(std::max(reach_px2, 1.0f));
   thread_local Columns columns;
-  columns.weights.resize(velocities.size());
-  columns.squared_weights.resize(velocities.size());
-  columns.x.resize(velocities.size());
-  columns.y.resize(velocities.size());
+  for (std::vector<float>* column : {&columns.x, &columns.y, &columns.weights, &columns.squared_weights}) {
+    column->resize(velocities.size());
+  }
   for (std::size_t k = 0; k < velocities.size(); ++k) {
     columns.x[k] = per_px * velocities.x_px[k];
     columns.y[k] = per_px * velocities.y_px[k];

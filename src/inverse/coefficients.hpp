@@ -34,13 +34,13 @@ struct TwoScaleFilter {
   float inner_box, outer_box;  ///< weights of the two boxes
   const float* coarse;         ///< 2 coarse_radius + 1 weights of sums over `decimation` samples
   int coarse_radius;
-  /// The same weights w in fixed point with coarse_shift bits, for 8-bit pixels, as pairs of int16 with the lower index
-  /// in the low half: coarse_even[i] is w[2 i], w[2 i + 1] and coarse_odd[i] is w[2 i - 1], w[2 i], with zeros beyond
-  /// the ends; i from -1 to coarse_radius + 1. Their sum is coarse_sum.
-  const std::int32_t *coarse_even, *coarse_odd;
-  int coarse_shift;
-  std::int32_t coarse_sum;
   int decimation;  ///< >= 1; 1: every sample is a node, and the boxes are next to nothing
+  /// The weights w of `coarse` in fixed point with coarse_shift bits, for 8-bit pixels, as pairs of int16 with the
+  /// lower index in the low half: coarse_even[i] is w[2 i], w[2 i + 1] and coarse_odd[i] is w[2 i - 1], w[2 i], with
+  /// zeros beyond the ends; i from -1 to coarse_radius + 1. Their sum is coarse_sum.
+  const std::int32_t *coarse_even = nullptr, *coarse_odd = nullptr;
+  int coarse_shift = 0;
+  std::int32_t coarse_sum = 0;
 };
 
 }  // namespace gyro_deblur

@@ -6,6 +6,8 @@
 
 #include <opencv2/core.hpp>
 
+#include "inverse/filter_bank.hpp"
+
 namespace gyro_deblur {
 namespace {
 

@@ -3,11 +3,20 @@
 
 #include <vector>
 
-#include "inverse/filter_bank.hpp"
-
 namespace gyro_deblur {
 
 constexpr double kMaxNoiseToSignalRatio = 1;
+
+/// What to filter a block with, and what is expected of it.
+struct FilterChoice {
+  int ratio_doublings = 0;  ///< how often the noise-to-signal ratio is doubled, >= 0
+  /// Expected share of the blur's error that filtering removes, less the noise that it adds; at most 1. Below 0
+  /// filtering does harm. Smoothed noise does not count as a gain.
+  double gain = 1;
+  /// Variance of white noise after filtering over that before, > 0: the integral over f of |W|^2, see
+  /// FilterBank::choose().
+  double noise_gain = 1;
+};
 
 /// The integrals that FilterBank::choose() is about, made once for a noise-to-signal ratio and its doublings, and for
 /// extents a quarter of an octave apart.

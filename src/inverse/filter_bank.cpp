@@ -10,51 +10,14 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "base/once_map.hpp"
 #include "base/require_range.hpp"
-#include "inverse/expected_errors.hpp"
 #include "inverse/tap_simd.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-int next_odd(double value) {
-  const int n = static_cast<int>(std::ceil(value));
-  return n % 2 == 0 ? n + 1 : n;
-}
-
-/// Transform of the Gaussian of options.smoothing_px at element k of `size`.
-double smoothing(int k, int size, const FilterOptions& options) {
-  const double cycles_per_px = static_cast<double>(std::min(k, size - k)) / size;
-  const double x = 2 * CV_PI * options.smoothing_px * cycles_per_px;
-  return std::exp(-0.5 * x * x);
-}
-
-/// Taps that hold the inverse of a blur of `extent_px` and the Gaussian it is smoothed with, three sigma on either
-/// side.
-double needed_length(double extent_px, const FilterOptions& options) {
-  return options.length_factor * extent_px + 6 * options.smoothing_px;
-}
-
-}  // namespace
-
-double spectral_share(double extent_px) { return std::max(0.0, 1 - extent_px / kConstantRatioExtentPx); }
-
-namespace {
-
-/// `blur` read backwards and smoothed with the Gaussian of smoothing_px, on as many taps.
-Eigen::VectorXd matched_filter(const std::vector<double>& blur, double smoothing_px) {
-  const int n = static_cast<int>(blur.size());
-  const Eigen::VectorXd matched = Eigen::Map<const Eigen::VectorXd>(blur.data(), n).reverse();
-  if (smoothing_px <= 0) return matched;
-  // Shares of the Gaussian in pixels: samples would be a pulse long before smoothing_px is 0.
-  const auto below = [&](double place_px) { return 0.5 * std::erf(place_px / (std::sqrt(2.0) * smoothing_px)); };
-  Eigen::VectorXd gaussian(2 * n - 1);
-  for (int i = 0; i < 2 * n - 1; ++i) gaussian[i] = below(i - n + 1.5) - below(i - n + 0.5);
-  Eigen::VectorXd smoothed(n);
-  for (int i = 0; i < n; ++i) smoothed[i] = matched.dot(gaussian.segment(n - 1 - i, n));
-  return smoothed;
-}
+/// The least odd number of taps that is not below `value`, rounded up.
+int next_odd(double value) { return static_cast<int>(std::ceil(value)) | 1; }
 
 /// See Regularization::FIXED; on as many taps as `blur` (centred, odd).
 std::vector<double> least_squares_inverse(const std::vector<double>& blur, double extent_px,
@@ -74,7 +37,7 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   lags[band - 2] -= options.noise_to_signal_ratio * share;
   // Lagrange: T w = what the blur matches + multiplier * 1, so that the sum is the filter's own gain at frequency 0.
   std::vector<double> sides(2 * n, 1.0), work(5 * (n + kToeplitzRoom) + band), solved(2 * n);
-  Eigen::Map<Eigen::VectorXd>(sides.data(), n) = matched_filter(blur, options.smoothing_px);
+  std::reverse_copy(blur.begin(), blur.end(), sides.begin());
   select_for_cpu<TapSimd>().solve_toeplitz(lags.data(), band, n, sides.data(), work.data(), solved.data());
   const Eigen::Map<const Eigen::VectorXd> of_blur(solved.data(), n), of_ones(solved.data() + n, n);
   const double multiplier = (1 / (1 + options.noise_to_signal_ratio * (1 - share)) - of_blur.sum()) / of_ones.sum();
@@ -82,39 +45,28 @@ std::vector<double> least_squares_inverse(const std::vector<double>& blur, doubl
   return {w.data(), w.data() + n};
 }
 
-/// The Cholesky factorisation of a symmetric positive definite matrix of which element (i, j) is 0 for |i - j| > width.
-class BandedSystem {
- public:
-  BandedSystem(int size, int width)
-      : size_(size), width_(width), lower_(static_cast<std::size_t>(size) * (width + 1)) {}
-
-  /// Element (i, j) of the lower triangle: 0 <= i - j <= width.
-  double& at(int i, int j) { return lower_[static_cast<std::size_t>(j) * (width_ + 1) + (i - j)]; }
-
-  /// Makes the solution of the right side. Once: what at() gives is another matrix then.
-  void solve(std::vector<double>& side) {
-    for (int j = 0; j < size_; ++j) {
-      double* column = &at(j, j);
-      const int below = std::min(width_, size_ - 1 - j);
-      for (int k = 1; k <= below; ++k) {
-        const double share = column[k] / column[0];
-        double* other = &at(j + k, j + k);
-        for (int i = k; i <= below; ++i) other[i - k] -= share * column[i];
-        side[j + k] -= share * side[j];
-      }
-    }
-    for (int j = size_ - 1; j >= 0; --j) {
-      const double* column = &at(j, j);
-      const int below = std::min(width_, size_ - 1 - j);
-      for (int k = 1; k <= below; ++k) side[j] -= column[k] * side[j + k];
-      side[j] /= column[0];
+/// Replaces the right side of symmetric positive definite equations by the solution, by Cholesky factorisation in
+/// place.
+/// @param lower  element (i, j) of the matrix at (i - j, j), where 0 <= i - j < lower.rows(); it is 0 farther down
+void solve_banded(Eigen::MatrixXd& lower, std::vector<double>& side) {
+  const int size = static_cast<int>(lower.cols()), width = static_cast<int>(lower.rows()) - 1;
+  for (int j = 0; j < size; ++j) {
+    const double* column = lower.col(j).data();
+    const int below = std::min(width, size - 1 - j);
+    for (int k = 1; k <= below; ++k) {
+      const double share = column[k] / column[0];
+      double* other = lower.col(j + k).data();
+      for (int i = k; i <= below; ++i) other[i - k] -= share * column[i];
+      side[j + k] -= share * side[j];
     }
   }
-
- private:
-  int size_, width_;
-  std::vector<double> lower_;  // by column from its diagonal element down
-};
+  for (int j = size - 1; j >= 0; --j) {
+    const double* column = lower.col(j).data();
+    const int below = std::min(width, size - 1 - j);
+    for (int k = 1; k <= below; ++k) side[j] -= column[k] * side[j + k];
+    side[j] /= column[0];
+  }
+}
 
 /// Coefficients of box_inverse()'s equations by lag, >= 0.
 /// @param share  spectral_share() of the box
@@ -170,21 +122,20 @@ std::vector<double> box_inverse(const std::vector<double>& box, double extent_px
     for_each_term(
         i, [&](int j, double) { width = std::max(width, number[i] - number[j]); }, [](double) {});
   }
-  const Eigen::VectorXd matched = matched_filter(box, options.smoothing_px);
   const double half_sum = 0.5 / (1 + ratio * (1 - share));
-  BandedSystem system(radius, width);
+  Eigen::MatrixXd lower = Eigen::MatrixXd::Zero(width + 1, radius);
   std::vector<double> sums(radius);
   for (int i = 0; i < radius; ++i) {
     double& side = sums[number[i]];
-    side = matched[radius + i] - matched[radius + i + 1];
+    side = box[radius - i] - box[radius - i - 1];  // steps of the box read backwards
     for_each_term(
         i,
         [&](int j, double weight) {
-          if (number[j] <= number[i]) system.at(number[i], number[j]) += weight;
+          if (number[j] <= number[i]) lower(number[i] - number[j], number[j]) += weight;
         },
         [&](double weight) { side -= weight * half_sum; });
   }
-  system.solve(sums);
+  solve_banded(lower, sums);
   std::vector<double> w(n);
   for (int i = 0; i <= radius; ++i) {
     const double here = i < radius ? sums[number[i]] : half_sum;
@@ -202,7 +153,7 @@ std::vector<double> fourier_inverse(const std::vector<double>& blur, int size, c
   cv::dft(h, spectrum, cv::DFT_COMPLEX_OUTPUT);
   for (int k = 0; k < size; ++k) {
     const cv::Vec2d H = spectrum.at<cv::Vec2d>(k);
-    const double scale = smoothing(k, size, options) / (H.dot(H) + options.noise_to_signal_ratio);
+    const double scale = 1 / (H.dot(H) + options.noise_to_signal_ratio);
     spectrum.at<cv::Vec2d>(k) = {H[0] * scale, -H[1] * scale};
   }
   cv::dft(spectrum, w, cv::DFT_INVERSE | cv::DFT_SCALE | cv::DFT_REAL_OUTPUT);
@@ -211,13 +162,18 @@ std::vector<double> fourier_inverse(const std::vector<double>& blur, int size, c
   return inverse;
 }
 
+const FilterOptions& validated(const FilterOptions& options) {
+  options.validate();
+  return options;
+}
+
 }  // namespace
 
 LineKernel wiener_kernel(double extent_px, const FilterOptions& options) {
   options.validate();
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
 
-  const int length = next_odd(needed_length(extent_px, options));
+  const int length = next_odd(options.length_factor * extent_px);
   const std::vector<double> box = box_blur_kernel(extent_px, length);
   const std::vector<double> w = options.regularization == Regularization::PAPER ? fourier_inverse(box, length, options)
                                                                                 : box_inverse(box, extent_px, options);
@@ -226,7 +182,6 @@ LineKernel wiener_kernel(double extent_px, const FilterOptions& options) {
   kernel.taps.resize(length);
   // Symmetric but for rounding.
   for (int i = 0; i < length; ++i) kernel.taps[i] = static_cast<float>((w[i] + w[length - 1 - i]) / (2 * sum));
-  if (options.smoothing_px > 0) return kernel;
   // With gamma, the noise-to-signal ratio: gamma w = h + a constant - (what h makes of h * w). The first is the box
   // again, the rest is smooth up to the last tap. In the Wiener filter, W = H* / gamma - H* |H|^2 / (gamma (|H|^2 +
   // gamma)), the second term falls as |H|^3. With a ratio that rises with the frequency that holds at the highest one,
@@ -244,7 +199,7 @@ LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options) {
 
   double reach_px = 0;
   for (const float place_px : path_px) reach_px = std::max<double>(reach_px, std::abs(place_px));
-  const int length = next_odd(std::max(needed_length(extent_px, options), 2 * reach_px + 3));
+  const int length = next_odd(std::max(options.length_factor * extent_px, 2 * reach_px + 3));
   const std::vector<double> blur = path_blur_kernel(path_px, length);
   const std::vector<double> w = options.regularization == Regularization::PAPER
                                     ? fourier_inverse(blur, cv::getOptimalDFTSize(length), options)
@@ -256,17 +211,8 @@ LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options) {
   return kernel;
 }
 
-// By extent / kExtentStepPx, and how often the noise-to-signal ratio is doubled.
-class FilterBank::Kernels : public OnceMap<std::pair<int, int>, LineKernel> {};
-
-FilterBank::FilterBank(const FilterOptions& options) : options_(options), kernels_(std::make_unique<Kernels>()) {
-  options_.validate();
-  errors_ = std::make_unique<const ExpectedErrors>(options_.noise_to_signal_ratio);
-}
-
-FilterBank::~FilterBank() = default;
-
-std::size_t FilterBank::size() const { return kernels_->size(); }
+FilterBank::FilterBank(const FilterOptions& options)
+    : options_(validated(options)), errors_(options_.noise_to_signal_ratio) {}
 
 FilterOptions with_doubled_ratio(FilterOptions options, int doublings) {
   options.noise_to_signal_ratio =
@@ -277,15 +223,9 @@ FilterOptions with_doubled_ratio(FilterOptions options, int doublings) {
 const LineKernel& FilterBank::kernel(double extent_px, int ratio_doublings) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   const int step = static_cast<int>(std::lround(extent_px / kExtentStepPx));
-  return kernels_->get({step, ratio_doublings}, [&] {
+  return kernels_.get({step, ratio_doublings}, [&] {
     return wiener_kernel(step * kExtentStepPx, with_doubled_ratio(options_, ratio_doublings));
   });
-}
-
-int FilterBank::max_doublings() const { return errors_->doublings(); }
-
-FilterChoice FilterBank::choose(double extent_px, double noise_to_texture) const {
-  return errors_->least(extent_px, noise_to_texture);
 }
 
 }  // namespace gyro_deblur

@@ -1,16 +1,17 @@
 // Wiener inverses of blur along a line (paper section IV-A); those of the box, one per extent.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
-#include <memory>
+#include <utility>
 #include <vector>
 
+#include "base/once_map.hpp"
 #include "blur/path_1d.hpp"
 #include "gyro_deblur/options.hpp"
+#include "inverse/expected_errors.hpp"
 
 namespace gyro_deblur {
-
-class ExpectedErrors;
 
 /// Taps of a 1-D filter: the inverse of a straight path, at steps of 1 px along its line.
 struct LineKernel {
@@ -34,11 +35,11 @@ constexpr double kMaxKernelExtentPx = 500.0;
 constexpr double kConstantRatioExtentPx = 36.0;
 
 /// s of Regularization::FIXED: from 1 without blur down to 0 at kConstantRatioExtentPx.
-double spectral_share(double extent_px);
+inline double spectral_share(double extent_px) { return std::max(0.0, 1 - extent_px / kConstantRatioExtentPx); }
 
-/// Spatial Wiener inverse of the box blur on length_factor * extent_px + 6 * smoothing_px taps (next odd), by
-/// options.regularization, scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad
-/// options or extent_px outside [kMinKernelExtentPx, kMaxKernelExtentPx].
+/// Spatial Wiener inverse of the box blur on length_factor * extent_px taps (next odd), by options.regularization,
+/// scaled to unit sum because the filter's gain is less than that. Throws OptionError for bad options or extent_px
+/// outside [kMinKernelExtentPx, kMaxKernelExtentPx].
 LineKernel wiener_kernel(double extent_px, const FilterOptions& options);
 
 /// The same for a point that runs along its line at non-uniform speed; on more taps where the path reaches farther from
@@ -47,17 +48,6 @@ LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options);
 
 /// The options with noise_to_signal_ratio doubled `doublings` (>= 0) times, at most 1.
 FilterOptions with_doubled_ratio(FilterOptions options, int doublings);
-
-/// What to filter a block with, and what is expected of it.
-struct FilterChoice {
-  int ratio_doublings = 0;  ///< how often the noise-to-signal ratio is doubled, >= 0
-  /// Expected share of the blur's error that filtering removes, less the noise that it adds; at most 1. Below 0
-  /// filtering does harm. Smoothed noise does not count as a gain.
-  double gain = 1;
-  /// Variance of white noise after filtering over that before, > 0: the integral over f of |W|^2, see
-  /// FilterBank::choose(). (A sensor's noise per grey level is NoiseModel::photon_gain.)
-  double noise_gain = 1;
-};
 
 /// Kernels by extent in steps of kExtentStepPx, and by noise-to-signal ratio, computed on first use and kept.
 /// Thread-safe.
@@ -68,7 +58,6 @@ class FilterBank {
 
   /// Throws OptionError for bad options.
   explicit FilterBank(const FilterOptions& options);
-  ~FilterBank();
 
   /// The kernel for the nearest multiple of kExtentStepPx. Valid as long as the bank.
   /// @param ratio_doublings  how often options().noise_to_signal_ratio is to be doubled, >= 0; it ends at 1
@@ -78,20 +67,22 @@ class FilterBank {
   /// Field, J. Opt. Soc. Am. A 4 (12), 1987), and white noise of the variance v: with H the box's transform and W the
   /// filter's, the integral over f of c |1 - W H|^2 / f^2 + v |W|^2, for each doubling of the noise-to-signal ratio.
   /// @param noise_to_texture  v / c [cycles^2/px^2], >= 0
-  FilterChoice choose(double extent_px, double noise_to_texture) const;
+  FilterChoice choose(double extent_px, double noise_to_texture) const {
+    return errors_.least(extent_px, noise_to_texture);
+  }
 
   /// The most doublings that choose() gives.
-  int max_doublings() const;
+  int max_doublings() const { return errors_.doublings(); }
 
-  std::size_t size() const;  ///< kernels made so far
+  std::size_t size() const { return kernels_.size(); }  ///< kernels made so far
 
   const FilterOptions& options() const { return options_; }
 
  private:
-  class Kernels;
   FilterOptions options_;
-  std::unique_ptr<Kernels> kernels_;
-  std::unique_ptr<const ExpectedErrors> errors_;
+  // By extent / kExtentStepPx, and how often the noise-to-signal ratio is doubled.
+  mutable OnceMap<std::pair<int, int>, LineKernel> kernels_;
+  ExpectedErrors errors_;
 };
 
 }  // namespace gyro_deblur

@@ -11,22 +11,15 @@ namespace {
 // Closer to a pixel than this counts as on it: cos(pi / 2) is not quite 0.
 constexpr double kOnPixel = 1e-6;
 
-/// Weights of the two grid points on either side of a position; they sum to one.
-struct LinearSplat {
-  int index;            // of the lower point
-  double lower, upper;  // weights of index and index + 1
-
-  explicit LinearSplat(double position) : index(static_cast<int>(position)) {
-    if (position < index) --index;  // std::floor, which is a call where SSE4 is not assumed
-    upper = position - index;
-    if (upper < kOnPixel) upper = 0;
-    if (upper > 1 - kOnPixel) {
-      ++index;
-      upper = 0;
-    }
-    lower = 1 - upper;
-  }
-};
+/// Sum over taps i, which are `step` pixels apart, 1/2 < step <= 1, of their linear weight at `position` >= 0, which is
+/// in units of taps. At most four taps are less than a pixel from it.
+template <typename Tap>
+inline float splat_at(double position, float step, Tap tap) {
+  const int i = static_cast<int>(position);
+  const float before = static_cast<float>(position - i) * step, after = step - before;
+  return (tap(i) * (1 - before) + tap(i + 1) * (1 - after)) +
+         (tap(i - 1) * std::max(1 - step - before, 0.0f) + tap(i + 2) * std::max(1 - step - after, 0.0f));
+}
 
 }  // namespace
 
@@ -51,10 +44,16 @@ void make_line_steps(const LineKernel& kernel, const LineDirection& direction, L
   line.first_m = begin - middle;
   line.steps.resize(end - begin);
   for (int i = begin; i < end; ++i) {
-    const LinearSplat splat((i - middle) * direction.slope);
-    const double weight = on_axis[i];
-    line.steps[i - begin] = {splat.index, static_cast<float>(weight * splat.lower),
-                             static_cast<float>(weight * splat.upper)};
+    const double across = (i - middle) * direction.slope, weight = on_axis[i];
+    int lower = static_cast<int>(across);
+    if (across < lower) --lower;    // std::floor, which is a call where SSE4 is not assumed
+    double share = across - lower;  // of the upper one
+    if (share < kOnPixel) share = 0;
+    if (share > 1 - kOnPixel) {
+      ++lower;
+      share = 0;
+    }
+    line.steps[i - begin] = {lower, static_cast<float>(weight * (1 - share)), static_cast<float>(weight * share)};
   }
 }
 
@@ -73,20 +72,6 @@ std::vector<KernelTap> rotate_kernel(const LineKernel& kernel, double angle_rad)
   }
   return taps;
 }
-
-namespace {
-
-/// Sum over taps i, which are `step` pixels apart, 1/2 < step <= 1, of their linear weight at `position` >= 0, which is
-/// in units of taps. At most four taps are less than a pixel from it.
-template <typename Tap>
-inline float splat_at(double position, float step, Tap tap) {
-  const int i = static_cast<int>(position);
-  const float before = static_cast<float>(position - i) * step, after = step - before;
-  return (tap(i) * (1 - before) + tap(i + 1) * (1 - after)) +
-         (tap(i - 1) * std::max(1 - step - before, 0.0f) + tap(i + 2) * std::max(1 - step - after, 0.0f));
-}
-
-}  // namespace
 
 void kernel_on_major_axis(const LineKernel& kernel, double major, std::vector<float>& on_axis) {
   const int radius = kernel.radius();

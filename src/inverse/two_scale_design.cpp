@@ -9,8 +9,6 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
-#include "base/parallel.hpp"
-
 namespace gyro_deblur {
 namespace {
 
@@ -226,16 +224,6 @@ void TwoScaleDesign::fit(const float* kernel, int count, const TapSimd& simd, Tw
   for (int j = 0; j <= radius_; ++j) missing -= (j == 0 ? 1.0 : 2.0) * decimation_ * weights.coarse[j];
   const float share = static_cast<float>(missing / (decimation_ * (2 * radius_ + 1)));
   for (float& weight : weights.coarse) weight += share;
-}
-
-const TwoScaleDesign& TwoScaleDesigns::get(const TwoScaleShape& shape) {
-  return designs_.get(shape, [&] { return TwoScaleDesign(shape.first, shape.second); });
-}
-
-void TwoScaleDesigns::prepare(const std::set<TwoScaleShape>& shapes, int threads) {
-  designs_.keep_only(shapes);
-  const std::vector<TwoScaleShape> list(shapes.begin(), shapes.end());
-  parallel_for(static_cast<int>(list.size()), threads, 1, [&](int i) { get(list[i]); });
 }
 
 }  // namespace gyro_deblur

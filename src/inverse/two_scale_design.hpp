@@ -2,8 +2,6 @@
 // (doc/design/two_scale_filter.md).
 #pragma once
 
-#include <cstddef>
-#include <set>
 #include <utility>
 #include <vector>
 
@@ -32,8 +30,6 @@ class TwoScaleDesign {
   /// Samples in a node: a fifteenth of the box.
   static int decimation_for(int box_half);
 
-  int decimation() const { return decimation_; }
-  int radius() const { return radius_; }
   int reach() const { return radius_ * decimation_; }  ///< taps beyond are not seen
 
   /// Weights that come nearest to the kernel, with its sum kept exactly.
@@ -50,18 +46,7 @@ class TwoScaleDesign {
 /// What a design is made for: box_half and radius.
 using TwoScaleShape = std::pair<int, int>;
 
-/// Designs by shape, made on first use (a tenth of a millisecond each, up to 130 KiB) and kept. Thread-safe.
-class TwoScaleDesigns {
- public:
-  const TwoScaleDesign& get(const TwoScaleShape& shape);
-
-  /// Makes these on `threads` threads (0: one for each core), and forgets the others. Not during get().
-  void prepare(const std::set<TwoScaleShape>& shapes, int threads);
-
-  std::size_t size() const { return designs_.size(); }
-
- private:
-  OnceMap<TwoScaleShape, TwoScaleDesign> designs_;
-};
+/// Designs by shape, made on first use (a tenth of a millisecond each, up to 130 KiB) and kept.
+using TwoScaleDesigns = OnceMap<TwoScaleShape, TwoScaleDesign>;
 
 }  // namespace gyro_deblur

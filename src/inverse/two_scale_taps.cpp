@@ -100,7 +100,7 @@ void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_poin
   const double stretch = std::abs(major);  // steps of the major axis in one pixel of the line
   const int box_half = box_half_of(kernel, stretch), steps = steps_of(kernel, stretch);
   const int d = TwoScaleDesign::decimation_for(box_half), radius = coarse_radius_of(steps, d);
-  const TwoScaleDesign& design = designs.get({box_half, radius});
+  const TwoScaleDesign& design = designs.get({box_half, radius}, [&] { return TwoScaleDesign(box_half, radius); });
 
   taps.on_axis.resize(steps + kRowGroup);
   simd.resample_kernel(kernel.taps.data() + kernel.radius(), kernel.radius(), stretch, steps, taps.on_axis.data());
@@ -109,14 +109,8 @@ void make_two_scale_taps(const LineKernel& kernel, double major, bool fixed_poin
   float* middle = taps.coarse.data() + kCoarseGuard + radius;
   for (int k = 0; k <= radius; ++k) middle[k] = middle[-k] = taps.weights.coarse[k];
 
-  taps.filter = {};
-  TwoScaleFilter& filter = taps.filter;
-  filter.box_half = box_half;
-  filter.inner_box = taps.weights.inner_box;
-  filter.outer_box = taps.weights.outer_box;
-  filter.coarse = taps.coarse.data() + kCoarseGuard;
-  filter.coarse_radius = radius;
-  filter.decimation = d;
+  taps.filter = {box_half, taps.weights.inner_box, taps.weights.outer_box, taps.coarse.data() + kCoarseGuard, radius,
+                 d};
   if (fixed_point) fix_coarse_weights(taps);
 }
 
@@ -145,11 +139,7 @@ void make_sheared_taps(const LineKernel& kernel, double major, bool fixed_point,
     after = kPole * (after - taps.running[i - 1]);
   }
 
-  taps.filter = {};
-  TwoScaleFilter& filter = taps.filter;
-  filter.coarse = weights;
-  filter.coarse_radius = radius;
-  filter.decimation = 1;
+  taps.filter = {0, 0, 0, weights, radius, 1};  // the boxes weigh nothing
   if (fixed_point) fix_coarse_weights(taps);
 }
 

@@ -65,16 +65,11 @@ void WienerGain2d::set(const WienerInverse2d& inverse, const FourierTile& tile, 
   band_down_ = &band_down;
 }
 
-void WienerGain2d::rows(int first_row, float* gain) {
-  tables_.band_across = band_across_->gain.data();
-  tables_.band_down = band_down_->gain.data();
-  simd_.gain_of_rows(tables_, first_row, false, gain);
-}
-
-void WienerGain2d::reblur_gain(int first_row, float* gain) {
-  tables_.band_across = band_across_->again.data();
-  tables_.band_down = band_down_->again.data();
-  simd_.gain_of_rows(tables_, first_row, true, gain);
+void WienerGain2d::rows(int first_row, bool blurs_again, float* gain) {
+  const auto band = blurs_again ? &PlaneBand::again : &PlaneBand::gain;
+  tables_.band_across = (band_across_->*band).data();
+  tables_.band_down = (band_down_->*band).data();
+  simd_.gain_of_rows(tables_, first_row, blurs_again, gain);
 }
 
 }  // namespace gyro_deblur

@@ -21,17 +21,15 @@ class WienerGain2d {
   /// @param simd  with as many lanes as those of the transform
   explicit WienerGain2d(const WienerGain2dSimd& simd) : simd_(simd) {}
 
-  /// Prepares for rows() and reblur_gain(). Preconditions: finite places, WienerInverse2d's ranges; the plans of
+  /// Prepares for rows(). Preconditions: finite places, WienerInverse2d's ranges; the plans of
   /// `tile` and the bands of its axes live on.
   void set(const WienerInverse2d& inverse, const FourierTile& tile, const PlaneBand& band_across,
            const PlaneBand& band_down);
 
   /// Gain at frequencies down of first_row .. first_row + lanes - 1 (first_row a multiple of lanes), as
   /// FourierSimd::filter_rows takes it: 2 * lanes * across.size floats. 0 at half a cycle a pixel across.
-  void rows(int first_row, float* gain);
-
-  /// The same of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0), times the band.
-  void reblur_gain(int first_row, float* gain);
+  /// @param blurs_again  the gain of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0), times the band
+  void rows(int first_row, bool blurs_again, float* gain);
 
  private:
   const WienerGain2dSimd& simd_;

@@ -3,42 +3,29 @@
 
 #include <algorithm>
 #include <cmath>
-#include <sstream>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "base/format.hpp"
 #include "base/median.hpp"
 #include "motion/shutter_table.hpp"
 
 namespace gyro_deblur {
 namespace {
 
+static_assert(static_cast<int>(StampRow::FIRST) == 0 && static_cast<int>(StampRow::MIDDLE) == 1 &&
+                  static_cast<int>(StampRow::LAST) == 2 && static_cast<int>(StampPhase::START) == 0 &&
+                  static_cast<int>(StampPhase::MIDDLE) == 1 && static_cast<int>(StampPhase::END) == 2 &&
+                  static_cast<int>(RectifyTo::FIRST_ROW) == 0 && static_cast<int>(RectifyTo::MIDDLE_ROW) == 1 &&
+                  static_cast<int>(RectifyTo::LAST_ROW) == 2,
+              "halves of an image, or of an exposure");
+
 /// Row, in pixels, that a stamp refers to.
-double row_of(StampRow row, int rows) {
-  switch (row) {
-    case StampRow::FIRST:
-      return 0;
-    case StampRow::MIDDLE:
-      return 0.5 * (rows - 1);
-    case StampRow::LAST:
-      return rows - 1;
-  }
-  return 0;
-}
+double row_of(StampRow row, int rows) { return 0.5 * static_cast<int>(row) * (rows - 1); }
 
 /// Part of the exposure that has passed.
-double fraction_of(StampPhase phase) {
-  switch (phase) {
-    case StampPhase::START:
-      return 0;
-    case StampPhase::MIDDLE:
-      return 0.5;
-    case StampPhase::END:
-      return 1;
-  }
-  return 0;
-}
+double fraction_of(StampPhase phase) { return 0.5 * static_cast<int>(phase); }
 
 TimeNs row_offset_ns(const ShutterTiming& timing, double y, int rows) {
   return std::llround(static_cast<double>(timing.readout_ns) * y / rows);
@@ -51,10 +38,8 @@ TimeNs phase_offset_ns(const ShutterTiming& timing, StampPhase phase) {
 void require_within_period(const char* name, TimeNs time_ns, TimeNs frame_period_ns, double tolerance) {
   const double time_s = std::abs(to_seconds(time_ns)), period_s = to_seconds(frame_period_ns);
   if (time_s <= (1 + tolerance) * period_s) return;
-  std::ostringstream text;
-  text << name << " = " << to_seconds(time_ns) << " s is longer than the frame period " << period_s
-       << " s: is its unit right?";
-  throw OptionError(text.str());
+  throw OptionError(format("%s = %g s is longer than the frame period %g s: is its unit right?", name,
+                           to_seconds(time_ns), period_s));
 }
 
 /// The unit that was probably meant, for a time beyond a limit of some seconds.
@@ -88,8 +73,8 @@ void ShutterTiming::validate() const {
   });
 }
 
-void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns, double tolerance) {
-  require_within_period(name, readout_ns, frame_period_ns, tolerance);
+void require_plausible_readout(const char* name, TimeNs readout_ns, TimeNs frame_period_ns) {
+  require_within_period(name, readout_ns, frame_period_ns, 0.1);
 }
 
 void FramePeriod::add(TimeNs stamp_ns) {
@@ -103,8 +88,6 @@ void FramePeriod::add(TimeNs stamp_ns) {
   stamps_.push_back({stamp_ns, resets});
   if (stamps_.size() > kKeptFrames) stamps_.pop_front();
 }
-
-void FramePeriod::clear() { stamps_.clear(); }
 
 std::size_t FramePeriod::span() const {
   return std::max(2 * (stamps_.size() * kLongestSpan / kKeptFrames / 2), kShortestSpan);
@@ -180,17 +163,8 @@ TimeRange RowExposure::frame() const {
 }
 
 TimeNs RowExposure::reference_time(RectifyTo rectify_to) const {
-  switch (rectify_to) {
-    case RectifyTo::FIRST_ROW:
-      return middle(row_of(StampRow::FIRST, rows_));
-    case RectifyTo::MIDDLE_ROW:
-      return middle(row_of(StampRow::MIDDLE, rows_));
-    case RectifyTo::LAST_ROW:
-      return middle(row_of(StampRow::LAST, rows_));
-    case RectifyTo::STAMP:
-      return stamp_ns_;
-  }
-  return stamp_ns_;
+  if (rectify_to == RectifyTo::STAMP) return stamp_ns_;
+  return middle(row_of(static_cast<StampRow>(rectify_to), rows_));
 }
 
 }  // namespace gyro_deblur

@@ -3,8 +3,9 @@
 
 #include <algorithm>
 #include <iterator>
-#include <sstream>
 #include <stdexcept>
+
+#include "base/format.hpp"
 
 namespace gyro_deblur {
 
@@ -14,15 +15,11 @@ GyroBuffer::GyroBuffer(TimeNs capacity_ns) : capacity_ns_(capacity_ns) {
   }
 }
 
-GyroBuffer::AddResult GyroBuffer::add(const GyroSample& sample) {
-  if (!sample.rate_rad_s.allFinite()) return AddResult::NOT_FINITE;
-  if (!samples_.empty()) {
-    if (sample.t_ns == samples_.back().t_ns) return AddResult::DUPLICATE;
-    if (sample.t_ns < samples_.back().t_ns) return AddResult::OUT_OF_ORDER;
-  }
+bool GyroBuffer::add(const GyroSample& sample) {
+  if (!sample.rate_rad_s.allFinite() || (!empty() && sample.t_ns <= samples_.back().t_ns)) return false;
   samples_.push_back(sample);
   while (sample.t_ns - samples_.front().t_ns > capacity_ns_) samples_.pop_front();
-  return AddResult::ACCEPTED;
+  return true;
 }
 
 GyroSample GyroBuffer::drop_newest() {
@@ -30,8 +27,6 @@ GyroSample GyroBuffer::drop_newest() {
   samples_.pop_back();
   return newest;
 }
-
-void GyroBuffer::clear() { samples_.clear(); }
 
 TimeRange GyroBuffer::available() const {
   if (samples_.empty()) return {};
@@ -49,27 +44,11 @@ std::vector<GyroSample> GyroBuffer::window(const TimeRange& requested) const {
   return {first, last};
 }
 
-const char* to_string(GyroBuffer::AddResult result) {
-  switch (result) {
-    case GyroBuffer::AddResult::ACCEPTED:
-      return "ACCEPTED";
-    case GyroBuffer::AddResult::NOT_FINITE:
-      return "NOT_FINITE";
-    case GyroBuffer::AddResult::DUPLICATE:
-      return "DUPLICATE";
-    case GyroBuffer::AddResult::OUT_OF_ORDER:
-      return "OUT_OF_ORDER";
-  }
-  return "UNKNOWN";
-}
-
 std::optional<BiasEstimate> estimate_stationary_bias(const std::vector<GyroSample>& samples, double max_stddev_rad_s,
                                                      std::size_t min_samples, std::string* error) {
-  std::ostringstream message;
-  if (samples.size() < std::max<std::size_t>(min_samples, 2)) {
-    message << "gyro bias: " << samples.size() << " samples, at least " << std::max<std::size_t>(min_samples, 2)
-            << " are needed";
-    *error = message.str();
+  const std::size_t needed = std::max<std::size_t>(min_samples, 2);
+  if (samples.size() < needed) {
+    *error = format("gyro bias: %zu samples, at least %zu are needed", samples.size(), needed);
     return std::nullopt;
   }
   BiasEstimate estimate;
@@ -83,9 +62,9 @@ std::optional<BiasEstimate> estimate_stationary_bias(const std::vector<GyroSampl
   estimate.stddev_rad_s = variance.cwiseSqrt();
   for (int axis = 0; axis < 3; ++axis) {
     if (estimate.stddev_rad_s[axis] < max_stddev_rad_s) continue;  // not so for NaN
-    message << "gyro bias: the sensor moves: standard deviation " << estimate.stddev_rad_s[axis] << " rad/s about axis "
-            << "xyz"[axis] << ", less than " << max_stddev_rad_s << " rad/s is needed";
-    *error = message.str();
+    *error =
+        format("gyro bias: the sensor moves: standard deviation %g rad/s about axis %c, less than %g rad/s is needed",
+               estimate.stddev_rad_s[axis], "xyz"[axis], max_stddev_rad_s);
     return std::nullopt;
   }
   return estimate;

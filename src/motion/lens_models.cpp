@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <sstream>
 
 #include <Eigen/LU>
 
+#include "base/format.hpp"
 #include "base/join.hpp"
 #include "base/require_range.hpp"
 #include "gyro_deblur/camera.hpp"
@@ -241,6 +241,13 @@ std::unique_ptr<const LensModel> make(const std::vector<double>& coefficients) {
   return std::make_unique<Model>(coefficients);
 }
 
+LensModelRow row(const char* name, bool is_in_camera_info, std::size_t coefficient_count, std::size_t fewest_given,
+                 const std::vector<ShapeCoefficient>& shape, const KalibrLens& kalibr, const EurocLens& euroc,
+                 const KeyedLens& camodocal, const KeyedLens& basalt, decltype(LensModelRow::make) make_model) {
+  return {name,   is_in_camera_info, coefficient_count, fewest_given, shape, kalibr, euroc, camodocal,
+          basalt, make_model};
+}
+
 /// The table, whose rows a row's documentation explains.
 std::vector<LensModelRow> make_table() {
   constexpr double kLargest = std::numeric_limits<double>::max();
@@ -250,95 +257,36 @@ std::vector<LensModelRow> make_table() {
     for (std::string& key : keys) key = section + "." + key;
     return keys;
   };
+  const auto projection = [](const char* fx, const char* fy, const char* cx, const char* cy) {
+    const std::string section = "projection_parameters.";
+    return std::array<std::string, 4>{section + fx, section + fy, section + cx, section + cy};
+  };
   return {
-      {"plumb_bob",
-       "plumb_bob",
-       true,
-       5,
-       0,  // drivers of uncalibrated and simulated cameras send none
-       {},
-       {"pinhole", "radtan", 0, 4},
-       {"radial-tangential", 4},
-       {"PINHOLE",
-        {"projection_parameters.fx", "projection_parameters.fy", "projection_parameters.cx",
-         "projection_parameters.cy"},
-        in("distortion_parameters", {"k1", "k2", "p1", "p2"})},
-       {},
-       make<PlumbBob>},
-      {"rational_polynomial",
-       "rational_polynomial",
-       true,
-       8,
-       0,
-       {},
-       {},
-       {},
-       {},
-       {"pinhole-radtan8", kBasalt, in("intrinsics", {"k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"})},
-       make<RationalPolynomial>},
-      {"equidistant",
-       "equidistant",
-       true,
-       4,
-       1,  // without any it would still be no ideal lens
-       {},
-       {"pinhole", "equidistant", 0, 4},
-       {"equidistant", 4},
-       // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
-       {"KANNALA_BRANDT",
-        {"projection_parameters.mu", "projection_parameters.mv", "projection_parameters.u0",
-         "projection_parameters.v0"},
-        in("projection_parameters", {"k2", "k3", "k4", "k5"})},
-       {"kb4", kBasalt, in("intrinsics", {"k1", "k2", "k3", "k4"})},
-       make<Equidistant>},
-      {"ds",
-       "ds",
-       false,
-       2,
-       2,
-       {{"xi", -1, 1}, {"alpha", 0, 1}},
-       {"ds", "none", 2, 0},
-       {},
-       {},
-       {"ds", kBasalt, in("intrinsics", {"xi", "alpha"})},
-       make_double_sphere},
-      {"eucm",
-       "eucm",
-       false,
-       2,
-       2,
-       {{"alpha", 0, 1}, {"beta", kSmallest, kLargest}},
-       {"eucm", "none", 2, 0},
-       {},
-       {},
-       {"eucm", kBasalt, in("intrinsics", {"alpha", "beta"})},
-       make_extended_unified},
-      {"mei",
-       "mei",
-       false,
-       5,
-       1,
-       {{"xi", 0, kLargest}},
-       {"omni", "radtan", 1, 4},
-       {},
-       {"MEI",
-        {"projection_parameters.gamma1", "projection_parameters.gamma2", "projection_parameters.u0",
-         "projection_parameters.v0"},
-        {"mirror_parameters.xi", "distortion_parameters.k1", "distortion_parameters.k2", "distortion_parameters.p1",
-         "distortion_parameters.p2"}},
-       {},
-       make_mei},
-      {"none",
-       "plumb_bob",
-       true,
-       0,
-       0,
-       {},
-       {"pinhole", "none", 0, 0},
-       {},
-       {},
-       {"pinhole", kBasalt, {}},
-       make<RadialTangential>},
+      row("plumb_bob", true, 5,
+          0,  // drivers of uncalibrated and simulated cameras send none
+          {}, {"pinhole", "radtan", 0, 4}, {"radial-tangential", 4},
+          {"PINHOLE", projection("fx", "fy", "cx", "cy"), in("distortion_parameters", {"k1", "k2", "p1", "p2"})}, {},
+          make<PlumbBob>),
+      row("rational_polynomial", true, 8, 0, {}, {}, {}, {},
+          {"pinhole-radtan8", kBasalt, in("intrinsics", {"k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"})},
+          make<RationalPolynomial>),
+      row("equidistant", true, 4,
+          1,  // without any it would still be no ideal lens
+          {}, {"pinhole", "equidistant", 0, 4}, {"equidistant", 4},
+          // Its k2 to k5 are OpenCV's k1 to k4 of the same polynomial.
+          {"KANNALA_BRANDT", projection("mu", "mv", "u0", "v0"), in("projection_parameters", {"k2", "k3", "k4", "k5"})},
+          {"kb4", kBasalt, in("intrinsics", {"k1", "k2", "k3", "k4"})}, make<Equidistant>),
+      row("ds", false, 2, 2, {{"xi", -1, 1}, {"alpha", 0, 1}}, {"ds", "none", 2, 0}, {}, {},
+          {"ds", kBasalt, in("intrinsics", {"xi", "alpha"})}, make_double_sphere),
+      row("eucm", false, 2, 2, {{"alpha", 0, 1}, {"beta", kSmallest, kLargest}}, {"eucm", "none", 2, 0}, {}, {},
+          {"eucm", kBasalt, in("intrinsics", {"alpha", "beta"})}, make_extended_unified),
+      row("mei", false, 5, 1, {{"xi", 0, kLargest}}, {"omni", "radtan", 1, 4}, {},
+          {"MEI",
+           projection("gamma1", "gamma2", "u0", "v0"),
+           {"mirror_parameters.xi", "distortion_parameters.k1", "distortion_parameters.k2", "distortion_parameters.p1",
+            "distortion_parameters.p2"}},
+          {}, make_mei),
+      row("none", true, 0, 0, {}, {"pinhole", "none", 0, 0}, {}, {}, {"pinhole", kBasalt, {}}, make<RadialTangential>),
   };
 }
 
@@ -399,9 +347,7 @@ void require_coefficients(const LensModelRow& model, const std::vector<double>& 
       require_range(name.c_str(), coefficients[i], -kLargest, kLargest);
     }
     if (i < model.coefficient_count || coefficients[i] == 0) continue;
-    std::ostringstream text;
-    text << ": number " << i + 1 << " is " << coefficients[i] << ", where only zeros are allowed";
-    refuse(text.str());
+    refuse(format(": number %zu is %g, where only zeros are allowed", i + 1, coefficients[i]));
   }
 }
 

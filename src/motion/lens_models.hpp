@@ -64,9 +64,8 @@ struct ShapeCoefficient {
 
 /// A row of the table of lens models.
 struct LensModelRow {
-  std::string name;              ///< that of sensor_msgs/CameraInfo where it has the model; "none" is the ideal lens
-  std::string camera_info_name;  ///< what to send in a CameraInfo, which has no name for the ideal lens
-  bool is_in_camera_info;        ///< sensor_msgs/CameraInfo says what D means
+  std::string name;        ///< that of sensor_msgs/CameraInfo where it has the model; "none" is the ideal lens
+  bool is_in_camera_info;  ///< sensor_msgs/CameraInfo says what D means
   std::size_t coefficient_count;
   std::size_t fewest_given;             ///< coefficients that a source must have; missing ones after these are 0
   std::vector<ShapeCoefficient> shape;  ///< the first coefficients, where they have a range

@@ -3,25 +3,22 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iomanip>
 #include <iterator>
 #include <limits>
-#include <sstream>
 #include <stdexcept>
 #include <string>
 
 #include <Eigen/LU>
 #include <Eigen/SVD>
 
+#include "base/format.hpp"
+
 namespace gyro_deblur {
 namespace {
 
 std::string describe(const TimeRange& range) {
   if (range.empty()) return "nothing";
-  std::ostringstream text;
-  text << '[' << std::fixed << std::setprecision(9) << to_seconds(range.begin_ns) << ", " << to_seconds(range.end_ns)
-       << "] s";
-  return text.str();
+  return format("[%.9f, %.9f] s", to_seconds(range.begin_ns), to_seconds(range.end_ns));
 }
 
 }  // namespace
@@ -34,6 +31,12 @@ Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad) {
   return {std::cos(half), vector.x(), vector.y(), vector.z()};
 }
 
+Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
+  Eigen::Matrix3d m;
+  m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
+  return m;
+}
+
 Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const Eigen::Vector3d& w1_rad_s,
                                          double dt_s) {
   // R' = R [w]x multiplies from the right, so the commutator term has the sign opposite to that of x' = A(t) x.
@@ -42,20 +45,16 @@ Eigen::Quaterniond integrate_linear_rate(const Eigen::Vector3d& w0_rad_s, const 
 
 Eigen::Matrix3d require_rotation(const char* name, const Eigen::Matrix3d& R) {
   const double determinant = R.determinant();
-  std::ostringstream message;
-  message << name << " has determinant " << determinant;
+  const char* reason = " and is not orthonormal to within 1e-3";
   if (R.allFinite()) {
     const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
     Eigen::Matrix3d nearest = svd.matrixU() * svd.matrixV().transpose();
     if ((R - nearest).cwiseAbs().maxCoeff() <= 1e-3) {
       if (determinant > 0) return nearest;
-      message
-          << ": it mirrors (an axis has the wrong sign, or two axes are swapped); expected a rotation, determinant +1";
-      throw OptionError(message.str());
+      reason = ": it mirrors (an axis has the wrong sign, or two axes are swapped)";
     }
   }
-  message << " and is not orthonormal to within 1e-3; expected a rotation, determinant +1";
-  throw OptionError(message.str());
+  throw OptionError(format("%s has determinant %g%s; expected a rotation, determinant +1", name, determinant, reason));
 }
 
 bool is_saturated(const GyroSample& sample, const GyroOptions& options) {
@@ -105,7 +104,6 @@ RotationTrack::RotationTrack(const std::vector<GyroSample>& samples, const GyroO
     previous_saturated = saturated;
   }
   if (knots_.empty()) return;
-  origin_ns_ = knots_[origin].t_ns;
   // Nobody may ask across a hole, so only orientations relative to each other on one side of it matter.
   const auto rotation_between = [](const Knot& from, const Knot& to) {
     return integrate_linear_rate(from.rate_rad_s, to.rate_rad_s, to_seconds(to.t_ns - from.t_ns));
@@ -153,11 +151,6 @@ Eigen::Quaterniond RotationTrack::interpolate(TimeNs t_ns) const {
   const double fraction = static_cast<double>(t_ns - before->t_ns) / static_cast<double>(after->t_ns - before->t_ns);
   const Eigen::Vector3d rate_rad_s = before->rate_rad_s + fraction * (after->rate_rad_s - before->rate_rad_s);
   return before->R_0_cam * integrate_linear_rate(before->rate_rad_s, rate_rad_s, to_seconds(t_ns - before->t_ns));
-}
-
-Eigen::Quaterniond RotationTrack::orientation(TimeNs t_ns) const {
-  require_covered({std::min(t_ns, origin_ns_), std::max(t_ns, origin_ns_)});
-  return interpolate(t_ns);
 }
 
 Eigen::Matrix3d RotationTrack::rotation(TimeNs from_ns, TimeNs to_ns) const {

@@ -6,16 +6,12 @@
 
 namespace gyro_deblur {
 
-inline const Names<StampRow>& names_of(StampRow) {
-  static const Names<StampRow> kNames{
-      {"first", StampRow::FIRST}, {"middle", StampRow::MIDDLE}, {"last", StampRow::LAST}};
-  return kNames;
+inline Names<StampRow> names_of(StampRow) {
+  return {{"first", StampRow::FIRST}, {"middle", StampRow::MIDDLE}, {"last", StampRow::LAST}};
 }
 
-inline const Names<StampPhase>& names_of(StampPhase) {
-  static const Names<StampPhase> kNames{
-      {"start", StampPhase::START}, {"middle", StampPhase::MIDDLE}, {"end", StampPhase::END}};
-  return kNames;
+inline Names<StampPhase> names_of(StampPhase) {
+  return {{"start", StampPhase::START}, {"middle", StampPhase::MIDDLE}, {"end", StampPhase::END}};
 }
 
 template <typename V>

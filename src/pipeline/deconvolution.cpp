@@ -20,14 +20,6 @@ namespace {
 // Rounding error [px] of places within a path of 500 px, as floats.
 constexpr double kRounding = 1e-3;
 
-/// Filters of a field's blocks, empty for those that are not filtered. Owns the kernels of non-uniform paths, and the
-/// inverses.
-struct FieldFilters {
-  std::vector<BlockFilter> filters;
-  std::vector<std::shared_ptr<const LineKernel>> kernels;
-  std::vector<std::shared_ptr<const WienerInverse2d>> inverses;
-};
-
 /// The inverse of a non-uniform path whose lengths count `scale` times; null where that is no blur.
 std::shared_ptr<const LineKernel> nonuniform_kernel(Path1d path_px, double scale, int ratio_doublings,
                                                     const FilterOptions& options) {
@@ -53,11 +45,10 @@ Path2d path_2d(const BlockBlur& blur) {
   return path_px;
 }
 
-/// Filters of a field whose lengths count `scale` times.
-FieldFilters make_filters(const FrameBlur& field, double scale, const FilterBank& bank, int threads, bool in_2d) {
+/// A grid without borders: the filters of a field whose lengths count `scale` times.
+FilterGrid make_filters(const FrameBlur& field, double scale, const FilterBank& bank, int threads, bool in_2d) {
   const std::size_t blocks = field.blocks.size();
-  FieldFilters made{std::vector<BlockFilter>(blocks), std::vector<std::shared_ptr<const LineKernel>>(blocks),
-                    std::vector<std::shared_ptr<const WienerInverse2d>>(blocks)};
+  FilterGrid made{{}, {}, std::vector<BlockFilter>(blocks), std::vector<std::shared_ptr<const void>>(blocks)};
   constexpr int kBlocksAtATime = 16;
   parallel_for(static_cast<int>(blocks), threads, kBlocksAtATime, [&](int i) {
     const BlockBlur& blur = field.blocks[i];
@@ -67,29 +58,25 @@ FieldFilters make_filters(const FrameBlur& field, double scale, const FilterBank
     const bool by_noise = bank.options().regularization == Regularization::ADAPTIVE;
     const double noise_to_texture = by_noise ? blur.noise_to_texture * scale : 0;
     const int doublings = noise_to_texture > 0 ? bank.choose(extent_px, noise_to_texture).ratio_doublings : 0;
-    BlockFilter& filter = made.filters[i];
+    BlockFilter& filter = made.blocks[i];
     filter.angle_rad = blur.angle_rad;
     if (blur.curved_path_px || in_2d) {
       Path2d path_px = path_2d(blur);
       for (Eigen::Vector2f& place_px : path_px) place_px *= static_cast<float>(scale);
       if (extent_px < kMinKernelExtentPx) return;
-      made.inverses[i] =
+      const auto inverse =
           std::make_shared<const WienerInverse2d>(wiener_inverse_2d(path_px, bank.options(), noise_to_texture));
-      filter.inverse = made.inverses[i].get();
+      filter.inverse = inverse.get();
+      made.owned[i] = inverse;
     } else if (blur.nonuniform_path_px) {
-      made.kernels[i] = nonuniform_kernel(*blur.nonuniform_path_px, scale, doublings, bank.options());
-      filter.kernel = made.kernels[i].get();
+      const auto kernel = nonuniform_kernel(*blur.nonuniform_path_px, scale, doublings, bank.options());
+      filter.kernel = kernel.get();
+      made.owned[i] = kernel;
     } else if (extent_px >= kMinKernelExtentPx) {
       filter.kernel = &bank.kernel(extent_px, doublings);
     }
   });
   return made;
-}
-
-void add_filter(const FieldFilters& made, int block, FilterGrid& grid) {
-  grid.blocks.push_back(made.filters[block]);
-  grid.own_kernels.push_back(made.kernels[block]);
-  grid.own_inverses.push_back(made.inverses[block]);
 }
 
 bool filters_anything(const FilterGrid& grid) {
@@ -116,7 +103,7 @@ FallbackCounts deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, c
   FallbackCounts slow;
   mosaic.copyTo(dst);
   const std::size_t pixel_bytes = mosaic.elemSize();
-  const FieldFilters made = make_filters(field, 0.5, bank, threads, engine.prefers_2d());
+  const FilterGrid made = make_filters(field, 0.5, bank, threads, engine.prefers_2d());
   cv::Mat plane, filtered;
   for (int py = 0; py < 2; ++py) {
     for (int px = 0; px < 2; ++px) {
@@ -134,7 +121,7 @@ FallbackCounts deconvolve_bayer(const cv::Mat& mosaic, const FrameBlur& field, c
       }
       FilterGrid grid{cols.borders, rows.borders, {}};
       for (const int row : rows.indices) {
-        for (const int col : cols.indices) add_filter(made, row * block_cols + col, grid);
+        for (const int col : cols.indices) grid.blocks.push_back(made.blocks[row * block_cols + col]);
       }
       if (!filters_anything(grid)) continue;
 
@@ -176,10 +163,7 @@ void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, Fram
   if (bank.options().regularization != Regularization::ADAPTIVE || !field.noise ||
       field.count(BlockStatus::DEBLURRED) == 0)
     return;
-  if (luminance.type() != CV_8UC1 || luminance.cols != field.grid.width_px() ||
-      luminance.rows != field.grid.height_px()) {
-    throw std::invalid_argument("regularization: adaptive needs 8-bit luminance of the blur field's size");
-  }
+  field.grid.require_luminance(luminance, "regularization: adaptive");
   // A camera that smooths its noise, or compresses its images, leaves more of it in coarser detail than in the finest.
   // Of texture blur of 10 px leaves an eighth or less there (0.25 cycles/px); up to half as much again may be that.
   constexpr double kTextureShare = 1.5, kMinCoarseExtentPx = 10;
@@ -209,11 +193,10 @@ void adapt_regularization(const cv::Mat& luminance, const FilterBank& bank, Fram
 
 FilterGrid make_filter_grid(const FrameBlur& field, const FilterBank& bank, int threads, bool in_2d) {
   const int cols = field.grid.cols();
-  FilterGrid grid{{0}, {0}, {}};
+  FilterGrid grid = make_filters(field, 1.0, bank, threads, in_2d);
+  grid.x = grid.y = {0};
   for (int col = 0; col < cols; ++col) grid.x.push_back(field.grid.rect(col).br().x);
   for (int row = 0; row < field.grid.rows(); ++row) grid.y.push_back(field.grid.rect(row * cols).br().y);
-  const FieldFilters made = make_filters(field, 1.0, bank, threads, in_2d);
-  for (int i = 0; i < field.grid.size(); ++i) add_filter(made, i, grid);
   return grid;
 }
 
@@ -274,14 +257,13 @@ FallbackCounts deconvolve(const cv::Mat& image, PixelLayout layout, const FrameB
     engine.filter(image, grid, dst);
     return engine.fallback_counts();
   }
-  // Alpha is no light: filter the three colours and append the input's alpha.
+  // Alpha is no light: only the three colours are filtered.
   cv::Mat color(image.size(), CV_MAKETYPE(image.depth(), 3)), filtered;
-  const int colors[] = {0, 0, 1, 1, 2, 2}, alpha[] = {3, 3};
+  const int colors[] = {0, 0, 1, 1, 2, 2};
   cv::mixChannels({image}, {color}, colors, 3);
   engine.filter(color, grid, filtered);
-  dst.create(image.size(), image.type());
+  image.copyTo(dst);
   cv::mixChannels({filtered}, {dst}, colors, 3);
-  cv::mixChannels({image}, {dst}, alpha, 1);
   return engine.fallback_counts();
 }
 

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 
 namespace gyro_deblur {
 namespace {
@@ -61,19 +62,9 @@ ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, 
 }
 
 const char* to_string(ExposureOrigin origin) {
-  switch (origin) {
-    case ExposureOrigin::MESSAGE:
-      return "exposure message";
-    case ExposureOrigin::SETTING:
-      return "driver's setting";
-    case ExposureOrigin::PARAMETER:
-      return "exposure_time";
-    case ExposureOrigin::IMAGES:
-      return "images";
-    case ExposureOrigin::ASSUMED:
-      break;
-  }
-  return "not known";
+  static constexpr const char* kNames[]{"exposure message", "driver's setting", "exposure_time", "images"};
+  const auto i = static_cast<std::size_t>(origin);
+  return i < std::size(kNames) ? kNames[i] : "not known";
 }
 
 void ExposureChoice::set_policy(OnExposureConflict policy) {
@@ -101,22 +92,19 @@ ExposurePlan ExposureChoice::plan(const std::optional<GivenExposure>& given,
   ExposurePlan plan;
   plan.given = given;
   plan.estimate = filter_of(given).wants_estimate();
-  const std::optional<ExposureFilter::State> state = exposures_.state();
+  // By plan.given. Where nothing is known it is the default, which is replaced below.
+  static_cast<ChosenExposure&>(plan) = chosen(plan);
   if (given && !replaces(*given)) {
-    plan.origin = given->origin;
-    plan.exposure_ns = plan.longest_ns = given->exposure_ns;
+    plan.longest_ns = given->exposure_ns;
     // A value that is wrong by a factor of 3 or more, of a wrong unit for example, shows from another assumption only.
     const std::size_t other = assumption_ % (kAssumedNs.size() + 1);
     const std::optional<TimeNs> images_ns = estimate_instead(*given);
     if (!plan.estimate || (images_ns ? is_within_reach(*images_ns, given->exposure_ns) : other == 0)) return plan;
     plan.exposure_ns = images_ns ? *images_ns : kAssumedNs[other - 1];
     plan.longest_ns = std::max(plan.longest_ns, plan.exposure_ns);
-  } else if (state) {
-    const bool is_sure = given || state->log_stddev <= kSureEnough;
-    plan.origin = is_sure ? ExposureOrigin::IMAGES : ExposureOrigin::ASSUMED;
-    plan.exposure_ns = state->exposure_ns;
-    plan.log_stddev = state->log_stddev;
-    plan.longest_ns = scaled(state->exposure_ns, is_sure ? kMargin : std::exp(2 * state->log_stddev));
+  } else if (exposures_.state()) {
+    const bool is_sure = plan.origin == ExposureOrigin::IMAGES;
+    plan.longest_ns = scaled(plan.exposure_ns, is_sure ? kMargin : std::exp(2 * plan.log_stddev));
   } else {
     plan.exposure_ns = kAssumedNs[assumption_ % kAssumedNs.size()];
     plan.longest_ns = scaled(plan.exposure_ns, kMaxExposureRatio);
@@ -130,7 +118,8 @@ ExposurePlan ExposureChoice::plan(const std::optional<GivenExposure>& given,
   return plan;
 }
 
-ChosenExposure ExposureChoice::by_images(const ExposurePlan& plan) const {
+ChosenExposure ExposureChoice::chosen(const ExposurePlan& plan) const {
+  if (plan.given && !replaces(*plan.given)) return {plan.given->origin, plan.given->exposure_ns, 0};
   if (const std::optional<ExposureFilter::State> state = exposures_.state()) {
     const bool is_sure = plan.given || state->log_stddev <= kSureEnough;
     return {is_sure ? ExposureOrigin::IMAGES : ExposureOrigin::ASSUMED, state->exposure_ns, state->log_stddev};
@@ -143,9 +132,7 @@ ChosenExposure ExposureChoice::decide(TimeNs stamp_ns, const ExposurePlan& plan,
   if (plan.decided) return plan;
   const std::optional<GivenExposure>& given = plan.given;
   // An image that comes late changes nothing: a filter would begin anew. After a time jump there is a reset().
-  if (newest_ns_ && stamp_ns < *newest_ns_) {
-    return !given || replaces(*given) ? by_images(plan) : ChosenExposure{given->origin, given->exposure_ns, 0};
-  }
+  if (newest_ns_ && stamp_ns < *newest_ns_) return chosen(plan);
   newest_ns_ = stamp_ns;
   if (given && is_per_image(*given)) {
     const double assumed = static_cast<double>(plan.exposure_ns) / static_cast<double>(given->exposure_ns);
@@ -160,8 +147,7 @@ ChosenExposure ExposureChoice::decide(TimeNs stamp_ns, const ExposurePlan& plan,
   } else {
     forget_conflict();
   }
-  if (!given || replaces(*given)) return by_images(plan);
-  return {given->origin, given->exposure_ns, 0};
+  return chosen(plan);
 }
 
 void ExposureChoice::forget_conflict() {

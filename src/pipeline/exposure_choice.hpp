@@ -93,7 +93,8 @@ class ExposureChoice {
   /// @param has_estimate  of this image
   void compare(TimeNs stamp_ns, const GivenExposure& given, bool has_estimate);
   void forget_conflict();
-  ChosenExposure by_images(const ExposurePlan& plan) const;
+  /// By what is given and known now.
+  ChosenExposure chosen(const ExposurePlan& plan) const;
 
   OnExposureConflict policy_ = OnExposureConflict::IMAGES;
   std::optional<TimeNs> newest_ns_;  // of the images with an attempt

@@ -9,7 +9,7 @@
 
 #include "base/stopwatch.hpp"
 #include "features/point_covariance.hpp"
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -25,12 +25,13 @@ std::vector<Eigen::Vector2d> positions(const std::vector<cv::KeyPoint>& keypoint
 std::vector<Eigen::Matrix2d> covariances(const cv::Mat& luminance, const std::string& detector,
                                          const RowExposure& exposure, const PipelineResult& result) {
   const PointCovariance covariance(luminance, result.field);
+  const PointErrors& errors = detector == "SIFT" || detector == "AKAZE" ? kBlobErrors : kCornerErrors;
   std::vector<Eigen::Matrix2d> of_points;
   of_points.reserve(result.points.size());
   for (std::size_t i = 0; i < result.points.size(); ++i) {
     const cv::KeyPoint& keypoint = result.features.keypoints[i];
     const Eigen::Vector2d pixel_px(keypoint.pt.x, keypoint.pt.y);
-    of_points.push_back(covariance.of_keypoint(keypoint, detector));
+    of_points.push_back(covariance.at(pixel_px, corner_radius_px(keypoint, detector), errors));
     if (!result.points[i].rectified) continue;
     const BlockBlur& block = result.field.blocks[result.field.grid.index_at(pixel_px.x(), pixel_px.y())];
     of_points.back() += covariance_of_moving(block, to_seconds(result.reference_ns - exposure.middle(pixel_px.y())));

@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "base/format.hpp"
 #include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
 #include "blur/blur_validation.hpp"
@@ -29,19 +30,17 @@ namespace {
 void require_fit(const cv::Mat& image, PixelLayout layout, const CameraCalibration& calibration,
                  const PixelMask& mask) {
   if (!mask.empty() && mask.size() != image.size()) {
-    throw std::invalid_argument("mask of " + std::to_string(mask.size().width) + "x" +
-                                std::to_string(mask.size().height) + " px does not fit the image of " +
-                                std::to_string(image.cols) + "x" + std::to_string(image.rows) + " px");
+    throw std::invalid_argument(format("mask of %dx%d px does not fit the image of %dx%d px", mask.size().width,
+                                       mask.size().height, image.cols, image.rows));
   }
   if (image.cols != calibration.width_px || image.rows != calibration.height_px) {
-    throw std::invalid_argument("image of " + std::to_string(image.cols) + "x" + std::to_string(image.rows) +
-                                " px does not fit the calibration of " + std::to_string(calibration.width_px) + "x" +
-                                std::to_string(calibration.height_px) + " px");
+    throw std::invalid_argument(format("image of %dx%d px does not fit the calibration of %dx%d px", image.cols,
+                                       image.rows, calibration.width_px, calibration.height_px));
   }
   if ((image.depth() != CV_8U && image.depth() != CV_16U) || image.channels() != channels_of(layout)) {
-    throw std::invalid_argument("image must have 8 or 16 bit and " + std::to_string(channels_of(layout)) +
-                                " channels, has OpenCV depth " + std::to_string(image.depth()) + " and " +
-                                std::to_string(image.channels()) + " channels");
+    throw std::invalid_argument(
+        format("image must have 8 or 16 bit and %d channels, has OpenCV depth %d and %d channels", channels_of(layout),
+               image.depth(), image.channels()));
   }
 }
 
@@ -78,10 +77,7 @@ struct Pipeline::Impl {
 
   // The stages of a frame, in their order.
   void begin(FrameContext& frame);
-  void follow_corners(FrameContext& frame);
   void watch_static_content(FrameContext& frame);
-  void estimate_field(FrameContext& frame);
-  void measure_noise(FrameContext& frame);
   void examine_exposure(FrameContext& frame);
   void use_exposure(const ExposureAnswer& answer, FrameContext& frame);
   void find_seen_rotation(FrameContext& frame);
@@ -162,11 +158,6 @@ void Pipeline::Impl::begin(FrameContext& frame) {
   if (frame.request.input_luminance) result.input_luminance = frame.luminance();
 }
 
-void Pipeline::Impl::follow_corners(FrameContext& frame) {
-  const StageTimer timer(&frame.result.times.flow_ms);
-  image_motion_.follow(frame_camera(), frame);
-}
-
 void Pipeline::Impl::watch_static_content(FrameContext& frame) {
   const StageTimer timer(&frame.result.times.blur_field_ms);
   const Eigen::Vector2d center_px(0.5 * (frame.image.cols - 1), 0.5 * (frame.image.rows - 1));
@@ -177,11 +168,6 @@ void Pipeline::Impl::watch_static_content(FrameContext& frame) {
   exposure_before_ = frame.exposure;
   if (now_px && static_content_.move(*now_px - center_px)) static_content_.add(frame.luminance(), mask_);
   frame.result.static_share = static_content_.share();
-}
-
-void Pipeline::Impl::estimate_field(FrameContext& frame) {
-  const StageTimer timer(&frame.result.times.blur_field_ms);
-  frame.result.field = blur_field(frame.exposure, frame);
 }
 
 FrameBlur Pipeline::Impl::blur_field(const RowExposure& exposure, const FrameContext& frame) const {
@@ -197,11 +183,6 @@ void Pipeline::Impl::mark_blocks(FrameBlur* field) const {
   mark_masked(mask_, field);
   mark_static_edges(mask_, reach, field);
   mark_static_edges(static_content_.edges(), reach, field);
-}
-
-void Pipeline::Impl::measure_noise(FrameContext& frame) {
-  const StageTimer timer(&frame.result.times.noise_ms);
-  frame.noise = image_noise(frame.image, frame.layout, frame.result.significant_bits, 1, mask_, options_.threads);
 }
 
 void Pipeline::Impl::examine_exposure(FrameContext& frame) {
@@ -265,7 +246,7 @@ void Pipeline::Impl::validate(FrameContext& frame) {
 void Pipeline::Impl::choose_regularization(FrameContext& frame) {
   FrameBlur& field = frame.result.field;
   const StageTimer timer(&frame.result.times.noise_ms);
-  field.noise = options_.noise.is_known() ? image_noise(frame.luminance(), options_.noise, mask_) : frame.noise;
+  field.noise = frame.noise;
   field.contrast = image_contrast(frame.image, frame.layout, frame.result.significant_bits, mask_);
   if (options_.filter.regularization == Regularization::ADAPTIVE && field.count(BlockStatus::DEBLURRED) > 0) {
     adapt_regularization(frame.luminance(), *bank_, field, options_.threads, mask_);
@@ -291,7 +272,7 @@ void Pipeline::Impl::move_to_reference(FrameContext& frame) const {
   if (map.empty()) return;
   // Pixels that share colours lose them where they are moved by fractions of a pixel.
   const cv::Mat colors = shares_colors(frame.layout) ? to_bgr(image, frame.layout) : image;
-  result.global_shutter = to_global_shutter(colors, map, options_.global_shutter_border, options_.threads);
+  result.global_shutter = to_global_shutter(colors, map, options_.threads);
   // What does not move with the camera stays where it is.
   if (!mask_.empty()) colors.copyTo(result.global_shutter, mask_.pixels() == 0);
 }
@@ -337,7 +318,6 @@ void Pipeline::set_mask(const PixelMask& mask) {
   impl_->frame_.reset();
 }
 
-const PixelMask& Pipeline::mask() const { return impl_->mask_; }
 std::string Pipeline::engine() const { return impl_->engine_->name(); }
 
 std::string Pipeline::take_warning() {
@@ -360,10 +340,20 @@ const PipelineResult& Pipeline::estimate(const cv::Mat& image, PixelLayout layou
   const AwakeHelpers helpers(impl.options_.threads);
   auto frame = std::make_unique<FrameContext>(image, layout, motion, exposure, request);
   impl.begin(*frame);
-  if (impl.image_motion_.enabled()) impl.follow_corners(*frame);
+  PipelineResult& result = frame->result;
+  if (impl.image_motion_.enabled()) {
+    const StageTimer timer(&result.times.flow_ms);
+    impl.image_motion_.follow(impl.frame_camera(), *frame);
+  }
   impl.watch_static_content(*frame);
-  impl.estimate_field(*frame);
-  if (!impl.options_.noise.is_known()) impl.measure_noise(*frame);
+  {
+    const StageTimer timer(&result.times.blur_field_ms);
+    result.field = impl.blur_field(frame->exposure, *frame);
+  }
+  {
+    const StageTimer timer(&result.times.noise_ms);
+    frame->noise = image_noise(image, layout, result.significant_bits, 1, impl.mask_, impl.options_.threads);
+  }
   if (request.exposure) impl.examine_exposure(*frame);
   impl.frame_ = std::move(frame);
   return impl.frame_->result;

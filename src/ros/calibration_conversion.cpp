@@ -141,7 +141,9 @@ sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
   sensor_msgs::CameraInfo info;
   info.width = static_cast<std::uint32_t>(camera.width_px);
   info.height = static_cast<std::uint32_t>(camera.height_px);
-  const LensModelRow& lens = lens_model(lens_model(camera.model).camera_info_name);
+  // Named, or GCC 13 and later fear for the reference.
+  const std::string model = camera.model == "none" ? "plumb_bob" : camera.model;
+  const LensModelRow& lens = lens_model(model);
   info.distortion_model = lens.name;
   if (lens.is_in_camera_info) {
     info.D = camera.coefficients;

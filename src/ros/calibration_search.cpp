@@ -1,12 +1,11 @@
 // Finds the camera_info and the calibration of a frame.
-#include "ros/calibration_search.hpp"
-
 #include <optional>
 
 #include <boost/make_shared.hpp>
 
 #include "base/format.hpp"
 #include "ros/calibration_conversion.hpp"
+#include "ros/frame_synchronizer.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -22,13 +21,9 @@ void set_calibration(const Config& config, PendingFrame* frame) {
   }
   // The file describes the whole sensor; camera_info says which part of it the image shows.
   const auto by_file = [&] { return to_calibration(*config.calibration->camera, *frame->info, width_px, height_px); };
-  if (!frame->described_by_topic) {
-    frame->calibration = by_file();
-    return;
-  }
   const bool file_holds = config.on_calibration_conflict == OnCalibrationConflict::CONFIGURED ||
                           is_uncalibrated(*frame->info, config.rectified_input) || lacks_lens(*frame->info);
-  if (file_holds && !config.rectified_input) {
+  if (!frame->described_by_topic || (file_holds && !config.rectified_input)) {
     frame->calibration = by_file();
     return;
   }
@@ -51,8 +46,8 @@ std::string zero_camera_info_text(const Config& config) {
 
 }  // namespace
 
-const sensor_msgs::CameraInfoConstPtr* CalibrationSearch::find_other(TimeNs stamp_ns, bool give_up) const {
-  const CameraInfos& infos = inputs_.infos();
+const sensor_msgs::CameraInfoConstPtr* FrameSynchronizer::find_other(TimeNs stamp_ns, bool give_up) const {
+  const CameraInfos& infos = this->infos();
   if (is_unset(stamp_ns)) return infos.find_newest();
   const sensor_msgs::CameraInfoConstPtr* other = infos.find_if_neighbours_agree(stamp_ns);
   if (other == nullptr && give_up) other = infos.find_last_unchanged(stamp_ns);
@@ -60,7 +55,7 @@ const sensor_msgs::CameraInfoConstPtr* CalibrationSearch::find_other(TimeNs stam
   return other;
 }
 
-sensor_msgs::CameraInfoConstPtr CalibrationSearch::substitute(const PendingFrame& frame, bool give_up) const {
+sensor_msgs::CameraInfoConstPtr FrameSynchronizer::substitute(const PendingFrame& frame, bool give_up) const {
   const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, give_up);
   if (other == nullptr || !describes_size(**other, frame.image->width, frame.image->height)) return nullptr;
   auto info = boost::make_shared<sensor_msgs::CameraInfo>(**other);
@@ -68,9 +63,9 @@ sensor_msgs::CameraInfoConstPtr CalibrationSearch::substitute(const PendingFrame
   return info;
 }
 
-std::string CalibrationSearch::missing_info_text(const PendingFrame& frame) const {
+std::string FrameSynchronizer::missing_info_text(const PendingFrame& frame) const {
   const std::string text = "no camera_info with the image's stamp " + seconds_text(frame.stamp_ns) + " s";
-  const CameraInfos& infos = inputs_.infos();
+  const CameraInfos& infos = this->infos();
   if (!infos.seen()) return text + ", nor any other";
   if (const sensor_msgs::CameraInfoConstPtr* other = find_other(frame.stamp_ns, true)) {
     return text + ", and that of adjacent images is for another size than " +
@@ -88,24 +83,24 @@ std::string CalibrationSearch::missing_info_text(const PendingFrame& frame) cons
   }
 }
 
-sensor_msgs::CameraInfoConstPtr CalibrationSearch::best_info(const PendingFrame& frame) const {
+sensor_msgs::CameraInfoConstPtr FrameSynchronizer::best_info(const PendingFrame& frame) const {
   if (frame.info) return frame.info;
-  if (const sensor_msgs::CameraInfoConstPtr* own = inputs_.infos().find(frame.stamp_ns)) return *own;
+  if (const sensor_msgs::CameraInfoConstPtr* own = infos().find(frame.stamp_ns)) return *own;
   return substitute(frame, true);
 }
 
-bool CalibrationSearch::goes_uncalibrated(const sensor_msgs::CameraInfo& info) const {
-  const Config& config = calibration_.config();
+bool FrameSynchronizer::goes_uncalibrated(const sensor_msgs::CameraInfo& info) const {
+  const Config& config = this->config();
   const bool by_file = config.calibration && config.calibration->camera && !config.rectified_input;
-  return goes_without_imu(config) && !by_file && !inputs_.has_been_calibrated() &&
+  return goes_without_imu(config) && !by_file && !has_been_calibrated() &&
          is_uncalibrated(info, config.rectified_input);
 }
 
-Readiness CalibrationSearch::find(PendingFrame* frame) const {
-  const Config& config = calibration_.config();
+Readiness FrameSynchronizer::find_calibration(PendingFrame* frame) const {
+  const Config& config = this->config();
   const std::optional<CameraCalibration> file =
       config.calibration ? config.calibration->camera : std::optional<CameraCalibration>();
-  const CameraInfos& infos = inputs_.infos();
+  const CameraInfos& infos = this->infos();
   const bool overtaken = infos.later(frame->stamp_ns) >= CameraInfos::kOvertaking;
   const bool give_up = frame->timed_out || !infos.awaited() || overtaken;
   // Only camera_info says which part of the sensor an image of another size shows.

@@ -60,22 +60,6 @@ cv::Mat decode(const Bytes& data) {
   }
 }
 
-/// The encoding that pixels as OpenCV decodes them have; empty when there is none.
-std::string encoding_of(const cv::Mat& pixels) {
-  if (pixels.depth() != CV_8U && pixels.depth() != CV_16U) return {};
-  const bool wide = pixels.depth() == CV_16U;
-  switch (pixels.channels()) {
-    case 1:
-      return wide ? encodings::MONO16 : encodings::MONO8;
-    case 3:
-      return wide ? encodings::BGR16 : encodings::BGR8;
-    case 4:
-      return wide ? encodings::BGRA16 : encodings::BGRA8;
-    default:
-      return {};
-  }
-}
-
 /// Brings the colours of decoded pixels into the order of `named`, a colour encoding.
 /// @param is_bgr  they are in BGR order, as OpenCV has them; else in RGB order
 /// @return the encoding: the depth is that of the pixels
@@ -101,6 +85,12 @@ std::string refusal(const sensor_msgs::CompressedImage& compressed) {
 }
 
 }  // namespace
+
+std::string encoding_of(const cv::Mat& pixels) {
+  const int channels = pixels.channels();
+  if ((pixels.depth() != CV_8U && pixels.depth() != CV_16U) || channels == 2 || channels > 4) return {};
+  return std::string(channels == 1 ? "mono" : channels == 3 ? "bgr" : "bgra") + (pixels.depth() == CV_16U ? "16" : "8");
+}
 
 DecodedImage decode_image(const sensor_msgs::CompressedImage& compressed) {
   // compressedDepth puts a header of its own before the data.

@@ -5,6 +5,7 @@
 
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
+#include <opencv2/core.hpp>
 
 namespace gyro_deblur {
 
@@ -20,5 +21,8 @@ struct DecodedImage {
 /// (compressed_subscriber.cpp of compressed_image_transport 1.14). Without a semicolon, or where name and pixels do not
 /// fit: mono8, bgr8 or bgra8, or the same with 16 bits.
 DecodedImage decode_image(const sensor_msgs::CompressedImage& compressed);
+
+/// The encoding that pixels as OpenCV decodes them have: mono, bgr or bgra of 8 or 16 bits; empty when there is none.
+std::string encoding_of(const cv::Mat& pixels);
 
 }  // namespace gyro_deblur

@@ -10,7 +10,7 @@
 #include <image_transport/camera_common.h>
 #include <pluginlib/class_list_macros.hpp>
 
-#include "base/steady_clock.hpp"
+#include "base/stopwatch.hpp"
 #include "base/time_slice.hpp"
 #include "calibrate/stored_calibration.hpp"
 #include "gyro_deblur/config.hpp"
@@ -53,18 +53,13 @@ DeblurNodelet::~DeblurNodelet() {
   tf_subscriber_.shutdown();
   tf_static_subscriber_.shutdown();
   mask_subscriber_.shutdown();
-  image_transport::Subscriber image_subscriber;
-  ros::Subscriber camera_info_subscriber, compressed_subscriber;
   {
     const std::lock_guard<std::mutex> lock(connection_mutex_);
     shutting_down_ = true;
-    std::swap(image_subscriber, image_subscriber_);
-    std::swap(camera_info_subscriber, camera_info_subscriber_);
-    std::swap(compressed_subscriber, compressed_subscriber_);
+    image_subscriber_.shutdown();
+    camera_info_subscriber_.shutdown();
+    compressed_subscriber_.shutdown();
   }
-  image_subscriber.shutdown();
-  camera_info_subscriber.shutdown();
-  compressed_subscriber.shutdown();
   if (processor_) processor_->stop();
   if (worker_.joinable()) worker_.join();
   // What has come in goes out, with what is there.
@@ -146,28 +141,33 @@ void DeblurNodelet::onInit() {
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
   tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
   tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
-  mask_subscriber_ = nh.subscribe("mask", 1, &DeblurNodelet::on_mask, this);
-  imu_->listen(this, [this] { on_imu(); });
+  mask_subscriber_ = nh.subscribe<sensor_msgs::Image>("mask", 1, [this](const sensor_msgs::ImageConstPtr& mask) {
+    guarded("taking a mask in", [&] { processor_->add_mask(*mask); });
+  });
+  imu_->listen(this, [this] { guarded("taking an IMU sample in", [this] { processor_->on_imu_sample(); }); });
   report_.start(processor_->statistics(), std::chrono::steady_clock::now());
   {
     // Callbacks that come before all publishers are there wait for the lock.
     const std::lock_guard<std::mutex> lock(connection_mutex_);
-    publishers_.advertise(nh, *transport_, output_queue(config.value_or(Config())), [this] { on_connection_change(); });
+    publishers_.advertise(nh, *transport_, output_queue(config.value_or(Config())), [this] {
+      // A transport that is not installed, for one, throws.
+      guarded("subscribing", [this] { subscribe_on_demand(); });
+    });
   }
   worker_ = std::thread(&DeblurNodelet::work, this);
-  advertise_service("reset", &DeblurNodelet::on_reset);
-  advertise_service("reset_calibration", &DeblurNodelet::on_reset_calibration);
-  advertise_service("save_calibration", &DeblurNodelet::on_save_calibration);
-  advertise_service("estimate_gyro_bias", &DeblurNodelet::on_estimate_bias);
+  advertise_service("reset", [this](std::string* text) { return on_reset(text); });
+  advertise_service("reset_calibration", [this](std::string* text) { return on_reset_calibration(text); });
+  advertise_service("save_calibration", [this](std::string* text) { return on_save_calibration(text); });
+  advertise_service("estimate_gyro_bias", [this](std::string* text) { return processor_->estimate_bias(text); });
   start_diagnostics();
 }
 
-void DeblurNodelet::advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string*)) {
+void DeblurNodelet::advertise_service(const std::string& name, const std::function<bool(std::string*)>& serve) {
   using std_srvs::Trigger;
   const boost::function<bool(Trigger::Request&, Trigger::Response&)> callback =
       [this, name, serve](Trigger::Request&, Trigger::Response& response) {
         try {
-          response.success = (this->*serve)(&response.message);
+          response.success = serve(&response.message);
         } catch (const std::exception& error) {
           response.success = false;
           response.message += (response.message.empty() ? "" : ", but ") + std::string(error.what());
@@ -206,16 +206,14 @@ void DeblurNodelet::subscribe_exposure(const ExposureSource& source) {
     exposure_adapter_ = of_driver ? std::make_unique<ExposureAdapter>(source) : nullptr;
   }
   before.shutdown();  // waits for its callback, which takes the lock
+  const auto add = [this](const ExposureConstPtr& exposure) {
+    guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
+  };
   const ros::Subscriber subscriber = of_driver
                                          ? nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_driver_message, this)
-                                         : nh.subscribe("exposure", kFastQueue, &DeblurNodelet::on_exposure, this);
+                                         : nh.subscribe<Exposure>("exposure", kFastQueue, add);
   const std::lock_guard<std::mutex> lock(exposure_mutex_);
   exposure_subscriber_ = subscriber;
-}
-
-void DeblurNodelet::on_connection_change() {
-  // A transport that is not installed, for one, throws.
-  guarded("subscribing", [this] { subscribe_on_demand(); });
 }
 
 void DeblurNodelet::subscribe_on_demand() {
@@ -234,7 +232,10 @@ void DeblurNodelet::subscribe_on_demand() {
   const bool remapped = nh.resolveName("camera_info", true) != nh.resolveName("camera_info", false);
   const std::string info_topic =
       remapped ? nh.resolveName("camera_info") : image_transport::getCameraInfoTopic(image_topic);
-  camera_info_subscriber_ = nh.subscribe(info_topic, kImageQueue, &DeblurNodelet::on_camera_info, this);
+  camera_info_subscriber_ = nh.subscribe<sensor_msgs::CameraInfo>(
+      info_topic, kImageQueue, [this](const sensor_msgs::CameraInfoConstPtr& info) {
+        guarded("taking a camera_info in", [&] { processor_->add_camera_info(info); });
+      });
   const image_transport::TransportHints hints("raw", ros::TransportHints(), getPrivateNodeHandle());
   // image_transport's plugin leaves out what it cannot decode without a word, and nothing could be counted.
   if (hints.getTransport() == "compressed") {
@@ -267,22 +268,6 @@ void DeblurNodelet::on_image(const sensor_msgs::ImageConstPtr& image) {
 void DeblurNodelet::on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image) {
   last_image_ns_ = steady_now_ns();
   guarded("taking a compressed image in", [&] { processor_->add_compressed_image(*image); });
-}
-
-void DeblurNodelet::on_camera_info(const sensor_msgs::CameraInfoConstPtr& info) {
-  guarded("taking a camera_info in", [&] { processor_->add_camera_info(info); });
-}
-
-void DeblurNodelet::on_mask(const sensor_msgs::ImageConstPtr& mask) {
-  guarded("taking a mask in", [&] { processor_->add_mask(*mask); });
-}
-
-void DeblurNodelet::on_imu() {
-  guarded("taking an IMU sample in", [&] { processor_->on_imu_sample(); });
-}
-
-void DeblurNodelet::on_exposure(const ExposureConstPtr& exposure) {
-  guarded("taking an exposure time in", [&] { processor_->add_exposure(*exposure); });
 }
 
 void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event) {
@@ -338,8 +323,6 @@ bool DeblurNodelet::on_save_calibration(std::string* text) {
                                    : "nothing is stored: no estimate is in use, see the diagnostics";
   return !path.empty();
 }
-
-bool DeblurNodelet::on_estimate_bias(std::string* text) { return processor_->estimate_bias(text); }
 
 void DeblurNodelet::work() {
   ask_for_time_slice_of_a_frame();

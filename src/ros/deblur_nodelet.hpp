@@ -2,6 +2,7 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -45,7 +46,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void onInit() override;
   Processor::Environment make_environment();
   /// A std_srvs/Trigger. `serve` says whether it succeeded, and what to respond and log.
-  void advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string* text));
+  void advertise_service(const std::string& name, const std::function<bool(std::string* text)>& serve);
   void start_diagnostics();
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);
@@ -54,21 +55,15 @@ class DeblurNodelet : public nodelet::Nodelet {
 
   void subscribe_exposure(const ExposureSource& source);
   /// Subscribes to the camera while somebody listens to an output, as image_proc does.
-  void on_connection_change();
   void subscribe_on_demand();
 
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
-  void on_camera_info(const sensor_msgs::CameraInfoConstPtr& info);
-  void on_mask(const sensor_msgs::ImageConstPtr& mask);
-  void on_imu();
-  void on_exposure(const ExposureConstPtr& exposure);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
   void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
   bool on_reset(std::string* text);
   bool on_reset_calibration(std::string* text);
   bool on_save_calibration(std::string* text);
-  bool on_estimate_bias(std::string* text);
   void on_diagnostics_timer(const ros::WallTimerEvent& event);
 
   /// Runs `function`; an exception is logged, because it must not reach the nodelet manager.

@@ -1,7 +1,6 @@
 // The nodelet's parameters: as they are at the start, and as they change by dynamic_reconfigure.
 #include "ros/deblur_nodelet.hpp"
 
-#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -14,9 +13,6 @@
 
 namespace gyro_deblur {
 namespace {
-
-/// Private parameters that are not keys of the configuration.
-const char* const kOtherParameters[] = {"image_transport"};
 
 /// Sets the entry of that name.
 template <typename Entries, typename T>
@@ -49,9 +45,7 @@ std::optional<Config> DeblurNodelet::load_parameters(std::string* error) {
   XmlRpc::XmlRpcValue parameters;
   if (getPrivateNodeHandle().getParam("", parameters) && parameters.getType() == XmlRpc::XmlRpcValue::TypeStruct) {
     for (auto& [key, value] : parameters) {
-      if (std::find(std::begin(kOtherParameters), std::end(kOtherParameters), key) == std::end(kOtherParameters)) {
-        given_parameters_[key] = value;
-      }
+      if (key != "image_transport") given_parameters_[key] = value;  // the others are keys of the configuration
     }
   }
 

@@ -78,41 +78,39 @@ void DiagnosticReport::Latency::add(double ms) {
 
 void DiagnosticReport::start(const ProcessorStatistics& statistics, Time time) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  latencies_.clear();
-  from_images_ = {};
-  quality_ = {};
+  period_ = {};
   last_ = statistics;
   last_time_ = time;
 }
 
 void DiagnosticReport::add(const FrameOutput& output) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  latencies_["waiting"].add(output.waiting_ms);
-  latencies_["processing"].add(output.total_ms);
+  period_.latencies["waiting"].add(output.waiting_ms);
+  period_.latencies["processing"].add(output.total_ms);
   if (output.quality) {
-    ++quality_.grades[output.quality->grade];
-    if (output.quality->score >= 0) quality_.score_sum += output.quality->score, ++quality_.scores;
+    ++period_.grades[output.quality->grade];
+    if (output.quality->score >= 0) period_.score_sum += output.quality->score, ++period_.scores;
   }
   if (output.exposure) exposure_ = output.exposure;
-  if (output.exposure_terms) quality_.exposures.push_back(*output.exposure_terms);
+  if (output.exposure_terms) period_.exposures.push_back(*output.exposure_terms);
   if (!output.field) return;
-  latencies_["optical flow"].add(output.times.flow_ms);
-  latencies_["blur field"].add(output.times.blur_field_ms);
-  latencies_["exposure estimate"].add(output.times.exposure_ms);
-  latencies_["validation"].add(output.times.validation_ms);
-  latencies_["noise"].add(output.times.noise_ms);
-  latencies_["deconvolution"].add(output.times.deconvolution_ms);
-  latencies_["keypoints"].add(output.times.keypoints_ms);
-  latencies_["messages"].add(output.messages_ms);
-  if (output.tracks || output.global_shutter_tracks) latencies_["tracks"].add(output.tracks_ms);
-  if (output.global_shutter) latencies_["global shutter"].add(output.times.global_shutter_ms);
+  period_.latencies["optical flow"].add(output.times.flow_ms);
+  period_.latencies["blur field"].add(output.times.blur_field_ms);
+  period_.latencies["exposure estimate"].add(output.times.exposure_ms);
+  period_.latencies["validation"].add(output.times.validation_ms);
+  period_.latencies["noise"].add(output.times.noise_ms);
+  period_.latencies["deconvolution"].add(output.times.deconvolution_ms);
+  period_.latencies["keypoints"].add(output.times.keypoints_ms);
+  period_.latencies["messages"].add(output.messages_ms);
+  if (output.tracks || output.global_shutter_tracks) period_.latencies["tracks"].add(output.tracks_ms);
+  if (output.global_shutter) period_.latencies["global shutter"].add(output.times.global_shutter_ms);
   for (const BlockBlur& block : output.field->blocks) {
     if (!block.residual) continue;
-    from_images_.blocks_px.push_back(block.residual->velocity_px_s.norm() * to_seconds(output.field->exposure_ns));
+    period_.flow_px.push_back(block.residual->velocity_px_s.norm() * to_seconds(output.field->exposure_ns));
   }
   if (output.residual_rotation) {
-    from_images_.rotation_sum_rad_s += output.residual_rotation->rate_rad_s;
-    ++from_images_.rotations;
+    period_.rotation_sum_rad_s += output.residual_rotation->rate_rad_s;
+    ++period_.rotations;
   }
 }
 
@@ -144,9 +142,7 @@ DiagnosticStatuses DiagnosticReport::fill(const Moment& now) {
   add_exposure_advice(now, &statuses.calibration);
   add_count("time jumps", now.statistics.time_jumps, &statuses.timing);
   add_latencies(&statuses.timing);
-  latencies_.clear();
-  from_images_ = {};
-  quality_ = {};
+  period_ = {};
   last_ = now.statistics;
   last_time_ = now.time;
   return statuses;
@@ -204,16 +200,16 @@ void DiagnosticReport::add_blocks(const Moment& now, DiagnosticStatusWrapper* st
 
 void DiagnosticReport::add_quality(DiagnosticStatusWrapper* status) const {
   std::size_t frames = 0;
-  for (const auto& [grade, count] : quality_.grades) frames += count;
+  for (const auto& [grade, count] : period_.grades) frames += count;
   std::map<std::uint8_t, std::size_t> percent;
-  for (const auto& [grade, count] : quality_.grades) {
+  for (const auto& [grade, count] : period_.grades) {
     percent[grade] =
         static_cast<std::size_t>(std::lround(100 * static_cast<double>(count) / static_cast<double>(frames)));
   }
   add_counts(
       "images [%]", percent, [](std::uint8_t grade) { return to_string(static_cast<QualityGrade>(grade)); }, status);
-  if (quality_.scores > 0) {
-    status->addf("score of images, mean", "%.2f", quality_.score_sum / static_cast<double>(quality_.scores));
+  if (period_.scores > 0) {
+    status->addf("score of images, mean", "%.2f", period_.score_sum / static_cast<double>(period_.scores));
   }
 }
 
@@ -231,9 +227,9 @@ void DiagnosticReport::add_exposure(DiagnosticStatusWrapper* status) const {
 }
 
 void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWrapper* status) const {
-  if (quality_.exposures.empty()) return;
+  if (period_.exposures.empty()) return;
   // The advice has to hold while the camera moves fast: of ten frames one is faster.
-  std::vector<ExposureTerms> exposures = quality_.exposures;
+  std::vector<ExposureTerms> exposures = period_.exposures;
   const auto fast = exposures.begin() + static_cast<std::ptrdiff_t>(exposures.size() * 9 / 10);
   std::nth_element(exposures.begin(), fast, exposures.end(),
                    [](const ExposureTerms& a, const ExposureTerms& b) { return a.speed_px_s < b.speed_px_s; });
@@ -253,8 +249,8 @@ void DiagnosticReport::add_exposure_advice(const Moment& now, DiagnosticStatusWr
 void DiagnosticReport::add_optical_flow(const Moment& now, DiagnosticStatusWrapper* status) const {
   add_count("blocks with optical flow", now.statistics.blocks_from_images, status);
   add_count("frames by optical flow alone", now.statistics.frames_by_images_alone, status);
-  if (!from_images_.blocks_px.empty()) {
-    status->addf("optical flow, median [px]", "%.2f", median(from_images_.blocks_px));
+  if (!period_.flow_px.empty()) {
+    status->addf("optical flow, median [px]", "%.2f", median(period_.flow_px));
   }
 }
 
@@ -267,17 +263,17 @@ void DiagnosticReport::add_imu(const Moment& now, DiagnosticStatusWrapper* statu
   add_count("imu dropped, without gyroscope", statistics.imu_without_gyroscope, status);
   add_count("imu saturated", statistics.imu_saturated, status);
   status->addf("gyroscope rate [Hz]", "%.1f", rate(now, statistics.imu_accepted, last_.imu_accepted));
-  if (statistics.newest_imu_ns) {
-    const TimeRange& available = statistics.gyro_available;
-    status->addf("gyroscope age [s]", "%.3f", to_seconds(now.node_ns - *statistics.newest_imu_ns));
+  const TimeRange& available = statistics.gyro_available;
+  if (!available.empty()) {
+    status->addf("gyroscope age [s]", "%.3f", to_seconds(now.node_ns - available.end_ns));
     status->addf("gyroscope buffer [s]", "%.3f", to_seconds(available.end_ns - available.begin_ns));
   } else {
     status->add("gyroscope buffer [s]", "empty");
   }
   status->add("cameras on this gyroscope", now.cameras);
-  if (from_images_.rotations > 0) {
+  if (period_.rotations > 0) {
     status->add("residual rotation, mean [rad/s]",
-                vector_text(from_images_.rotation_sum_rad_s / static_cast<double>(from_images_.rotations)));
+                vector_text(period_.rotation_sum_rad_s / static_cast<double>(period_.rotations)));
   }
   if (statistics.gyro_error) {
     status->mergeSummary(DiagnosticStatus::WARN, error_text(*statistics.gyro_error, statistics.bias_rad_s));
@@ -285,20 +281,16 @@ void DiagnosticReport::add_imu(const Moment& now, DiagnosticStatusWrapper* statu
 }
 
 void DiagnosticReport::add_latencies(DiagnosticStatusWrapper* status) const {
-  for (const char* whole : {"processing", "waiting"}) {
-    const auto found = latencies_.find(whole);
-    if (found == latencies_.end()) continue;
+  // Behind the first two, the stages in the order in which a frame goes through them.
+  for (const std::string stage :
+       {"processing", "waiting", "optical flow", "blur field", "exposure estimate", "validation", "noise",
+        "deconvolution", "keypoints", "tracks", "global shutter", "messages"}) {
+    const auto found = period_.latencies.find(stage);
+    if (found == period_.latencies.end()) continue;
     const Latency& latency = found->second;
-    status->addf(std::string(whole) + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
-    status->addf(std::string(whole) + " max [ms]", "%.2f", latency.max_ms);
-  }
-  // In the order in which a frame goes through them.
-  for (const char* stage : {"optical flow", "blur field", "exposure estimate", "validation", "noise", "deconvolution",
-                            "keypoints", "tracks", "global shutter", "messages"}) {
-    const auto found = latencies_.find(stage);
-    if (found == latencies_.end()) continue;
-    status->addf(std::string(stage) + " mean [ms]", "%.2f",
-                 found->second.sum_ms / static_cast<double>(found->second.count));
+    status->addf(stage + " mean [ms]", "%.2f", latency.sum_ms / static_cast<double>(latency.count));
+    const bool is_whole = stage == "processing" || stage == "waiting";
+    if (is_whole) status->addf(stage + " max [ms]", "%.2f", latency.max_ms);
   }
 }
 

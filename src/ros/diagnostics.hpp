@@ -56,14 +56,12 @@ class DiagnosticReport {
     std::size_t count = 0;
     void add(double ms);
   };
-  /// What the images of a period show in addition to the gyroscope.
-  struct FromImages {
-    std::vector<double> blocks_px;  ///< within the exposure, of the blocks for which it is used
-    Eigen::Vector3d rotation_sum_rad_s = Eigen::Vector3d::Zero();
+  /// What the frames of a period show.
+  struct Period {
+    std::map<std::string, Latency> latencies;
+    std::vector<double> flow_px;  ///< within the exposure, of the blocks for which optical flow is used
+    Eigen::Vector3d rotation_sum_rad_s = Eigen::Vector3d::Zero();  ///< in addition to the gyroscope's
     std::size_t rotations = 0;
-  };
-  /// What the images of a period are worth.
-  struct Quality {
     std::map<std::uint8_t, std::size_t> grades;  ///< frames, by ImageQuality's constants
     double score_sum = 0;
     std::size_t scores = 0;
@@ -82,9 +80,7 @@ class DiagnosticReport {
   void add_latencies(diagnostic_updater::DiagnosticStatusWrapper* status) const;
 
   std::mutex mutex_;  // everything below
-  std::map<std::string, Latency> latencies_;
-  FromImages from_images_;
-  Quality quality_;
+  Period period_;
   std::optional<FrameExposure> exposure_;  // of the newest frame that the pipeline has seen
   ProcessorStatistics last_;
   Time last_time_ = std::chrono::steady_clock::now();

@@ -48,30 +48,12 @@ const MessageLayout& ExposureAdapter::layout_of(const std::string& type, const s
 }
 
 double ExposureAdapter::seconds(double value) const {
-  switch (source_.unit) {
-    case ExposureUnit::MICROSECONDS:
-      return value * 1e-6;
-    case ExposureUnit::TEN_MICROSECONDS:
-      return value * 1e-5;
-    case ExposureUnit::HUNDRED_MICROSECONDS:
-      return value * 1e-4;
-    case ExposureUnit::MILLISECONDS:
-      return value * 1e-3;
-    case ExposureUnit::SECONDS:
-      break;
-  }
-  return value;
+  static constexpr double kUnitsS[] = {1, 1e-3, 1e-4, 1e-5, 1e-6};  // in the order of ExposureUnit
+  return value * kUnitsS[static_cast<std::size_t>(source_.unit)];
 }
 
 std::optional<ExposureReading> ExposureAdapter::read(const std::string& type, const std::string& definition,
                                                      const std::uint8_t* bytes, std::size_t size) {
-  if (source_.kind == ExposureSource::Kind::AUTO && type == ros::message_traits::datatype<Exposure>()) {
-    Exposure exposure;
-    deserialize_checked(bytes, size, &exposure);
-    const TimeNs own_stamp_ns = to_time_ns(exposure.header.stamp);
-    return ExposureReading{exposure.exposure_time.toNSec(),
-                           is_unset(own_stamp_ns) ? std::nullopt : std::optional<TimeNs>(own_stamp_ns)};
-  }
   if (source_.kind == ExposureSource::Kind::AUTO && type != kRealsenseMetadata) {
     throw std::runtime_error("exposure: exposure_source = auto recognises " +
                              std::string(ros::message_traits::datatype<Exposure>()) + " and " + kRealsenseMetadata +

@@ -37,6 +37,7 @@ class ExposureAdapter {
  public:
   explicit ExposureAdapter(const ExposureSource& source) : source_(source) {}
 
+  /// Precondition: not the message gyro_deblur/Exposure under `auto`, which only pass_on() takes.
   /// @param type, definition  of the connection the message came by
   /// @param bytes, size       the serialised message
   /// @return nothing when the message does not have the exposure time of its image

@@ -22,18 +22,11 @@ void FrameQueue::push(PendingFrame frame) {
   }
 }
 
-void FrameQueue::pass_through_before(int epoch, PassThroughReason reason, const std::string& text) {
+void FrameQueue::pass_through_old(ShownBy shown_by, PassThroughReason reason, const std::string& text) {
+  const int epoch = epochs_.reset(shown_by);
   for (PendingFrame& frame : frames_) {
     if (frame.epoch < epoch && frame.is_undecided()) frame.pass_through(reason, text);
   }
-}
-
-void FrameQueue::pass_through_all(PassThroughReason reason, const std::string& text) {
-  pass_through_before(epochs_.begin(), reason, text);
-}
-
-void FrameQueue::pass_through_old_epoch(PassThroughReason reason, const std::string& text) {
-  pass_through_before(epochs_.reset(), reason, text);
 }
 
 std::size_t FrameQueue::ready_behind_front() const {

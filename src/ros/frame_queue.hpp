@@ -59,6 +59,23 @@ struct PendingFrame {
   }
 };
 
+/// What a frame can do.
+enum class Readiness {
+  WAITS,         ///< for messages that may still come
+  PASS_THROUGH,  ///< it is published unchanged, PendingFrame::pass_through_reason says why
+  READY,         ///< it has what belongs to it
+};
+
+inline Readiness wait_for(Awaited awaited, PendingFrame* frame) {
+  frame->awaits = awaited;
+  return Readiness::WAITS;
+}
+
+inline Readiness pass_through(PendingFrame* frame, PassThroughReason reason, const std::string& text) {
+  frame->pass_through(reason, text);
+  return Readiness::PASS_THROUGH;
+}
+
 /// First in, first out; nothing is ever lost: a frame that cannot wait any longer passes through in order.
 /// Not thread-safe.
 class FrameQueue {
@@ -71,11 +88,8 @@ class FrameQueue {
   /// Appends a frame; the oldest waiting ones beyond the capacity pass through as OVERLOAD.
   void push(PendingFrame frame);
 
-  /// Passes every waiting frame through.
-  void pass_through_all(PassThroughReason reason, const std::string& text);
-
   /// Passes the waiting frames through that are from before time was reset, see EpochCounter::reset.
-  void pass_through_old_epoch(PassThroughReason reason, const std::string& text);
+  void pass_through_old(ShownBy shown_by, PassThroughReason reason, const std::string& text);
 
   bool empty() const { return frames_.empty(); }
   std::size_t size() const { return frames_.size(); }
@@ -93,8 +107,6 @@ class FrameQueue {
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:
-  void pass_through_before(int epoch, PassThroughReason reason, const std::string& text);
-
   std::size_t capacity_;
   std::deque<PendingFrame> frames_;
   EpochCounter epochs_;

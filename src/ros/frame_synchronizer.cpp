@@ -116,7 +116,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
     // Without a reason the frame would be tried again for ever, and hold up all that come after it.
     frame.pass_through(PassThroughReason::INTERNAL_ERROR, error.what());
   }
-  frame.info = calibration_search().best_info(frame);
+  frame.info = best_info(frame);
   if (frame.pass_through_reason == PassThroughReason::NONE) overload_.begin(steady_ns, next.behind_camera_rate);
   next.frame = queue().pop();
   return next;
@@ -142,7 +142,7 @@ Readiness FrameSynchronizer::decide(PendingFrame* frame, PictureMotion* motion) 
   if (!config_error().empty()) return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, config_error());
   Readiness readiness = Readiness::READY;
   // A waiting frame that uses the calibration file takes its camera_info instead once that has come.
-  if (!frame->described_by_topic) readiness = calibration_search().find(frame);
+  if (!frame->described_by_topic) readiness = find_calibration(frame);
   if (const PictureMotion* known = known_motion(*frame); known && readiness == Readiness::READY) {
     *motion = *known;
     return Readiness::READY;
@@ -175,7 +175,7 @@ void FrameSynchronizer::check_overload(TimeNs steady_ns, PendingFrame* frame, Sy
   synchronized->behind_camera_rate = OverloadRule::is_behind_camera_rate(steady_ns, ready_ns, ready_behind, period_ns);
 }
 
-Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* timing, std::string* source) const {
+Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* timing, ExposureOrigin* origin) const {
   const Config& config = this->config();
   const TimeNs stamp_ns = frame->picture_ns();  // an image that repeats a picture has its exposure
   *timing = config.shutter;
@@ -184,7 +184,7 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
   const auto is_known = [](const Exposure* message) { return message && !message->exposure_time.isZero(); };
   const auto take = [&](const Exposure& message) {
     take_times(message, timing);
-    *source = kMessageExposure;
+    *origin = ExposureOrigin::MESSAGE;
     return Readiness::READY;
   };
   const Exposure* own = exposures.find(stamp_ns);
@@ -193,7 +193,7 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
   const std::optional<TimeNs> setting_ns = exposure_setting_ns();
   if (setting_ns.value_or(0) != 0) {
     timing->exposure_ns = *setting_ns;
-    *source = kSettingExposure;
+    *origin = ExposureOrigin::SETTING;
     return Readiness::READY;
   }
   const Exposure* neighbour = exposures.find_if_neighbours_agree(stamp_ns);
@@ -212,7 +212,7 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
   const TimeNs oldest_ns = stamp_ns - config.exposure_max_age_ns;
   const Exposure* before = exposures.find_before(stamp_ns, oldest_ns);
   if (is_known(before)) return take(*before);
-  *source = kParameterExposure;
+  *origin = ExposureOrigin::PARAMETER;
   if (timing->exposure_ns > 0 && !own && expected && exposures.awaited() && !setting_ns) {
     problems_.log(LogLevel::WARNING, "exposure message missing",
                   "no exposure message with the image's stamp " + seconds_text(stamp_ns) +
@@ -223,11 +223,11 @@ Readiness FrameSynchronizer::find_timing(PendingFrame* frame, ShutterTiming* tim
 
 Readiness FrameSynchronizer::find_exposure(PendingFrame* frame, PictureMotion* motion) const {
   ShutterTiming timing;
-  std::string source;
-  const Readiness readiness = find_timing(frame, &timing, &source);
+  ExposureOrigin origin = ExposureOrigin::PARAMETER;
+  const Readiness readiness = find_timing(frame, &timing, &origin);
   if (readiness != Readiness::READY) return readiness;
   motion->readout_by_message = timing.readout_ns != region_readout_ns(config().shutter.readout_ns, *frame->info);
-  if (plan_exposure(timing.exposure_ns, source, frame, &motion->plan) == Readiness::PASS_THROUGH) {
+  if (plan_exposure(timing.exposure_ns, origin, frame, &motion->plan) == Readiness::PASS_THROUGH) {
     return Readiness::PASS_THROUGH;
   }
   timing.exposure_ns = motion->plan.exposure_ns;
@@ -246,19 +246,15 @@ Readiness FrameSynchronizer::find_exposure(PendingFrame* frame, PictureMotion* m
   return Readiness::READY;
 }
 
-Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, const std::string& source, PendingFrame* frame,
+Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, ExposureOrigin origin, PendingFrame* frame,
                                            ExposurePlan* plan) const {
   const FramePeriod& period = frame_period();
-  const bool from_parameter = source == kParameterExposure;
   std::optional<GivenExposure> given;
   if (given_ns != 0) {
-    given = GivenExposure{from_parameter               ? ExposureOrigin::PARAMETER
-                          : source == kSettingExposure ? ExposureOrigin::SETTING
-                                                       : ExposureOrigin::MESSAGE,
-                          given_ns};
-    if (const std::optional<std::string> fault = exposure_fault(source, given_ns, period)) {
+    given = GivenExposure{origin, given_ns};
+    if (const std::optional<std::string> fault = exposure_fault(origin, given_ns, period)) {
       // Reported when it came.
-      if (!from_parameter) return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, *fault);
+      if (origin != ExposureOrigin::PARAMETER) return pass_through(frame, PassThroughReason::NO_EXPOSURE_TIME, *fault);
       if (config().on_exposure_conflict == OnExposureConflict::CONFIGURED) {
         return pass_through(frame, PassThroughReason::BAD_CONFIGURATION, *fault);
       }

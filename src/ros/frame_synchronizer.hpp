@@ -14,7 +14,6 @@
 #include "gyro_deblur/pipeline.hpp"
 #include "gyro_deblur/pixel_mask.hpp"
 #include "pipeline/exposure_choice.hpp"
-#include "ros/calibration_search.hpp"
 #include "ros/frame_queue.hpp"
 #include "ros/input_buffers.hpp"
 #include "sync/calibration_in_use.hpp"
@@ -67,19 +66,33 @@ class FrameSynchronizer : public InputBuffers {
 
  private:
   const Config& config() const { return calibration_.config(); }
-  CalibrationSearch calibration_search() const { return {*this, calibration_, &problems_}; }
 
   /// The rule: records in `frame` what was found and whether it passes through, in `motion` when and how it was
   /// exposed, but for the samples: cheap enough for every message.
   Readiness decide(PendingFrame* frame, PictureMotion* motion) const;
+  /// The frame's camera_info and calibration, from the topic or the calibration file.
+  Readiness find_calibration(PendingFrame* frame) const;
+  /// The frame's own camera_info, or a copy of its neighbours' where that is lost; null when there is none, or none of
+  /// its neighbours' describes an image of this size.
+  sensor_msgs::CameraInfoConstPtr best_info(const PendingFrame& frame) const;
+  /// The camera_info of another image, or of all, that stands for the one of this stamp; null when there is none.
+  /// @param give_up  the last one will do: none that is newer is waited for
+  const sensor_msgs::CameraInfoConstPtr* find_other(TimeNs stamp_ns, bool give_up) const;
+  /// The same with this image's stamp, where it describes an image of its size; else null.
+  sensor_msgs::CameraInfoConstPtr substitute(const PendingFrame& frame, bool give_up) const;
+  /// Why there is no camera_info for the frame. Precondition: there is none.
+  std::string missing_info_text(const PendingFrame& frame) const;
+  /// Whether optical flow alone moves images of this camera_info, because nothing describes the camera. A single
+  /// message of zeros in a stream of others is a fault.
+  bool goes_uncalibrated(const sensor_msgs::CameraInfo& info) const;
   Readiness find_exposure(PendingFrame* frame, PictureMotion* motion) const;
   /// Exposure and readout time from a message, a setting or the parameters.
-  /// @param source  what the exposure time is of, for messages
-  Readiness find_timing(PendingFrame* frame, ShutterTiming* timing, std::string* source) const;
+  /// @param origin  of the exposure time
+  Readiness find_timing(PendingFrame* frame, ShutterTiming* timing, ExposureOrigin* origin) const;
   /// The exposure time assumed until the blur has been examined.
   /// @param given  the exposure time of a message, a setting or the parameter; 0: not known
-  /// @param source  of find_timing()
-  Readiness plan_exposure(TimeNs given_ns, const std::string& source, PendingFrame* frame, ExposurePlan* plan) const;
+  /// @param origin  of find_timing()
+  Readiness plan_exposure(TimeNs given_ns, ExposureOrigin origin, PendingFrame* frame, ExposurePlan* plan) const;
   /// Whether samples have come up to the frame's end, or will not. Precondition: the exposure is known.
   Readiness find_samples(PendingFrame* frame, PictureMotion* motion) const;
   /// The rotation from the parameters, the calibration file, tf or the images.

@@ -30,10 +30,7 @@ void check_image(const sensor_msgs::Image& message);
 /// An image message with the header and encoding of `input` and other pixels of the same type.
 sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const sensor_msgs::Image& input);
 
-/// A bgr8 message with the header of `input`.
-sensor_msgs::ImagePtr to_bgr_image(const cv::Mat& bgr, const std_msgs::Header& header);
-
-/// A mono8 message with the header of `input`.
-sensor_msgs::ImagePtr to_mono_image(const cv::Mat& gray, const std_msgs::Header& header);
+/// Little-endian, rows without padding.
+sensor_msgs::ImagePtr to_image(const cv::Mat& pixels, const std_msgs::Header& header, const std::string& encoding);
 
 }  // namespace gyro_deblur

@@ -54,37 +54,17 @@ std::size_t InputBuffers::store_size() const {
 }
 
 void InputBuffers::forget(Stream stream, ShownBy shown_by) {
-  const bool itself = shown_by == ShownBy::ITSELF;
-  constexpr char kText[] = "time went backwards while the frame waited";
-  switch (stream) {
-    case Stream::IMU:
-      if (!itself) gyro_.forget();  // else the source has
-      break;
-    case Stream::IMAGE:
-      itself ? queue_.pass_through_all(PassThroughReason::TIME_JUMP, kText)
-             : queue_.pass_through_old_epoch(PassThroughReason::TIME_JUMP, kText);
-      break;
-    case Stream::CAMERA_INFO:
-      itself ? infos_.clear() : infos_.clear_old_epoch();
-      break;
-    case Stream::EXPOSURE:
-      itself ? exposures_.clear() : exposures_.clear_old_epoch();
-      break;
-    case Stream::CLOCK:
-      break;
+  if (stream == Stream::IMU && shown_by == ShownBy::OTHER) gyro_.forget();  // else the source has
+  if (stream == Stream::IMAGE) {
+    queue_.pass_through_old(shown_by, PassThroughReason::TIME_JUMP, "time went backwards while the frame waited");
   }
+  if (stream == Stream::CAMERA_INFO) infos_.clear(shown_by);
+  if (stream == Stream::EXPOSURE) exposures_.clear(shown_by);
 }
 
 void InputBuffers::handle(TimeJumpDetector::Result result, Stream stream, TimeNs from_ns, TimeNs to_ns) {
-  switch (result) {
-    case TimeJumpDetector::Result::FORWARD:
-      return;
-    case TimeJumpDetector::Result::FOLLOWS:
-      forget(stream, ShownBy::ITSELF);
-      return;
-    case TimeJumpDetector::Result::JUMP:
-      break;
-  }
+  if (result == TimeJumpDetector::Result::FORWARD) return;
+  if (result == TimeJumpDetector::Result::FOLLOWS) return forget(stream, ShownBy::ITSELF);
   ++statistics_.time_jumps;
   clocks_apart_.clear();
   for (const Stream every : {Stream::IMU, Stream::IMAGE, Stream::CAMERA_INFO, Stream::EXPOSURE}) {
@@ -181,19 +161,19 @@ MissingInputs::Seen InputBuffers::seen() const {
   return seen;
 }
 
-void InputBuffers::check_exposure(const std::string& name, TimeNs exposure_ns) {
+void InputBuffers::check_exposure(ExposureOrigin origin, TimeNs exposure_ns) {
   if (exposure_ns == 0) {
     const std::string otherwise = config_.shutter.exposure_ns > 0
                                       ? "exposure_time = " + seconds_text(config_.shutter.exposure_ns) + " s"
                                       : "the estimate from their blur";
-    problems_.report("exposure 0", name +
+    problems_.report("exposure 0", std::string(name_of_given(origin)) +
                                        " is 0 s, taken as not known: images without an exposure time are deblurred " +
                                        "by that of adjacent images, otherwise by " + otherwise);
     return;
   }
   problems_.resolve("exposure 0");
   exposure_known_ = true;
-  if (const std::optional<std::string> fault = exposure_fault(name, exposure_ns, frame_period_)) {
+  if (const std::optional<std::string> fault = exposure_fault(origin, exposure_ns, frame_period_)) {
     problems_.report("exposure", *fault);
   } else {
     problems_.resolve("exposure");
@@ -203,7 +183,7 @@ void InputBuffers::check_exposure(const std::string& name, TimeNs exposure_ns) {
 void InputBuffers::check_parameters() {
   // Where exposure messages come, the parameter only replaces lost ones.
   if (exposure_known_ || config_.shutter.exposure_ns == 0) return;
-  if (const auto fault = exposure_fault(kParameterExposure, config_.shutter.exposure_ns, frame_period_)) {
+  if (const auto fault = exposure_fault(ExposureOrigin::PARAMETER, config_.shutter.exposure_ns, frame_period_)) {
     const bool replaced = config_.on_exposure_conflict == OnExposureConflict::IMAGES;
     problems_.report("exposure_time",
                      *fault + (replaced ? ". It is not used: images pass through until their blur gives the exposure "
@@ -216,7 +196,7 @@ void InputBuffers::check_parameters() {
 
 void InputBuffers::add_exposure_setting(TimeNs exposure_ns) {
   exposure_setting_ns_ = exposure_ns;
-  check_exposure(kSettingExposure, exposure_ns);
+  check_exposure(ExposureOrigin::SETTING, exposure_ns);
 }
 
 void InputBuffers::add_exposure(const Exposure& exposure) {
@@ -236,7 +216,7 @@ void InputBuffers::add_exposure(const Exposure& exposure) {
   if (setting_lacks_stamp_) exposure_setting_ns_.reset();
   setting_lacks_stamp_ = false;
   record_time(Stream::EXPOSURE, stamp_ns);
-  check_exposure(kMessageExposure, exposure.exposure_time.toNSec());
+  check_exposure(ExposureOrigin::MESSAGE, exposure.exposure_time.toNSec());
   exposures_.add(stamp_ns, exposure, store_size());
 }
 
@@ -302,7 +282,7 @@ void InputBuffers::find_picture(PendingFrame* frame) {
 }
 
 void InputBuffers::reset() {
-  queue_.pass_through_all(PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
+  queue_.pass_through_old(ShownBy::ITSELF, PassThroughReason::TIME_JUMP, "reset was asked for while the frame waited");
   gyro_.update();
   gyro_.forget();
   infos_.reset();

@@ -128,7 +128,6 @@ class InputBuffers {
   /// What the source of samples has done since.
   void record_imu();
   /// Drops what the stream brought before time was reset: all that has come when its own next message shows the reset.
-  enum class ShownBy { ITSELF, OTHER };
   void forget(Stream stream, ShownBy shown_by);
   std::size_t store_size() const;
   /// Notes in the frame which picture it shows.
@@ -137,8 +136,7 @@ class InputBuffers {
   void record_liveness(TimeNs now_ns);
   MissingInputs::Seen seen() const;
   /// Reports an exposure time of a message or a setting that cannot be used.
-  /// @param name  what the time is of
-  void check_exposure(const std::string& name, TimeNs exposure_ns);
+  void check_exposure(ExposureOrigin origin, TimeNs exposure_ns);
   /// Reports parameters that the frame period contradicts.
   void check_parameters();
 

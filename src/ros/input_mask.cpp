@@ -70,12 +70,9 @@ PixelMask InputMask::for_image(const cv::Size& size) {
     problems_.resolve(kSizeKind);
     return mask_;
   }
-  const auto text = [](const cv::Size& s) {
-    return size_text(static_cast<std::uint32_t>(s.width), static_cast<std::uint32_t>(s.height));
-  };
   problems_.report(kSizeKind,
-                   origin_ + " has " + text(mask_.size()) + ", the images have " + text(size) +
-                       ": they are processed without it; give one of their size",
+                   origin_ + " has " + size_text(mask_.size().width, mask_.size().height) + ", the images have " +
+                       size_text(size.width, size.height) + ": they are processed without it; give one of their size",
                    LogLevel::ERROR);
   return {};
 }

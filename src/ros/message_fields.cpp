@@ -52,8 +52,6 @@ const Builtin* find_builtin(const std::string& type) {
 
 bool is_builtin(const std::string& type) { return type == "string" || find_builtin(type) != nullptr; }
 
-std::string package_of(const std::string& type) { return type.substr(0, type.find('/')); }
-
 }  // namespace
 
 MessageLayout::MessageLayout(const std::string& type, const std::string& definition) : type_(type) {
@@ -96,7 +94,7 @@ MessageLayout::MessageLayout(const std::string& type, const std::string& definit
     for (Field& field : fields) {
       if (is_builtin(field.type)) continue;
       if (field.type == "Header") field.type = "std_msgs/Header";
-      if (field.type.find('/') == std::string::npos) field.type = package_of(name) + "/" + field.type;
+      if (field.type.find('/') == std::string::npos) field.type = name.substr(0, name.find('/')) + "/" + field.type;
       if (types_.count(field.type) == 0) {
         throw std::runtime_error("the definition of " + type + " lacks that of " + field.type);
       }
@@ -133,12 +131,12 @@ class MessageLayout::Walk {
   Walk(const MessageLayout& layout, const std::string& wanted, const std::uint8_t* bytes, std::size_t size)
       : layout_(layout), wanted_(wanted), next_(bytes), left_(size) {}
 
-  /// True when the field was found.
-  bool message(const std::string& type, const std::string& prefix) {
+  /// The field, if this message has it.
+  std::optional<FieldValue> message(const std::string& type, const std::string& prefix) {
     for (const Field& field : layout_.types_.at(type)) {
       const std::string path = prefix + field.name;
       if (!field.is_array) {
-        if (element(field.type, path)) return true;
+        if (std::optional<FieldValue> value = element(field.type, path)) return value;
         continue;
       }
       const std::size_t count = field.count > 0 ? field.count : load<std::uint32_t>(take(sizeof(std::uint32_t)));
@@ -150,14 +148,12 @@ class MessageLayout::Walk {
       }
       for (std::size_t i = 0; i < count; ++i) {
         const std::size_t left_before = left_;
-        if (element(field.type, path + "[" + std::to_string(i) + "]")) return true;
+        if (auto value = element(field.type, path + "[" + std::to_string(i) + "]")) return value;
         if (left_ == left_before) break;  // messages without fields, as are all that follow
       }
     }
-    return false;
+    return std::nullopt;
   }
-
-  const std::optional<FieldValue>& value() const { return value_; }
 
  private:
   [[noreturn]] void fail() const {
@@ -170,34 +166,27 @@ class MessageLayout::Walk {
     left_ -= count;
     return bytes;
   }
-  bool element(const std::string& type, const std::string& path) {
+  std::optional<FieldValue> element(const std::string& type, const std::string& path) {
     if (!is_builtin(type)) return message(type, path + ".");
     if (type == "string") {
       const std::size_t length = load<std::uint32_t>(take(sizeof(std::uint32_t)));
       const auto* text = reinterpret_cast<const char*>(take(length));
-      if (path != wanted_) return false;
-      value_ = std::string(text, length);
-      return true;
+      return path == wanted_ ? std::optional<FieldValue>(std::string(text, length)) : std::nullopt;
     }
     const Builtin& builtin = *find_builtin(type);
     const std::uint8_t* bytes = take(builtin.size);
-    if (path != wanted_) return false;
-    value_ = builtin.read(bytes);
-    return true;
+    return path == wanted_ ? std::optional<FieldValue>(builtin.read(bytes)) : std::nullopt;
   }
 
   const MessageLayout& layout_;
   const std::string& wanted_;
   const std::uint8_t* next_;
   std::size_t left_;
-  std::optional<FieldValue> value_;
 };
 
 std::optional<FieldValue> MessageLayout::find(const std::string& path, const std::uint8_t* bytes,
                                               std::size_t size) const {
-  Walk walk(*this, path, bytes, size);
-  walk.message(type_, "");
-  return walk.value();
+  return Walk(*this, path, bytes, size).message(type_, "");
 }
 
 void MessageLayout::list(const std::string& type, const std::string& prefix, std::vector<std::string>* result) const {

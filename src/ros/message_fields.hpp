@@ -38,8 +38,6 @@ class MessageLayout {
   /// Paths of the fields of built-in types; elements of arrays as "[0]".
   std::vector<std::string> paths() const;
 
-  const std::string& type() const { return type_; }
-
  private:
   struct Field {
     std::string type;  // without brackets; a key of types_ where it is not built in

@@ -1,9 +1,11 @@
 // Converts results to messages.
 #include "ros/output_conversion.hpp"
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <iterator>
 #include <optional>
 
 #include <Eigen/Core>
@@ -22,45 +24,25 @@ constexpr double kMarkerWidthPx = 2, kMarkerGapPx = 8, kMarkerHalfTickPx = 4;
 
 struct TrackChannel {
   const char* name;
+  bool vins_fusion_only;
   double (*value)(const Track& track);
 };
 
-constexpr TrackChannel kId{"id_of_point", [](const Track& track) { return static_cast<double>(track.id); }};
-constexpr TrackChannel kU{"u_of_point", [](const Track& track) { return track.pixel_px.x(); }};
-constexpr TrackChannel kV{"v_of_point", [](const Track& track) { return track.pixel_px.y(); }};
-constexpr TrackChannel kVelocityX{"velocity_x_of_point", [](const Track& track) { return track.velocity_1_s.x(); }};
-constexpr TrackChannel kVelocityY{"velocity_y_of_point", [](const Track& track) { return track.velocity_1_s.y(); }};
-constexpr TrackChannel kCovarianceUu{"covariance_uu_of_point",
-                                     [](const Track& track) { return track.covariance_px2(0, 0); }};
-constexpr TrackChannel kCovarianceUv{"covariance_uv_of_point",
-                                     [](const Track& track) { return track.covariance_px2(0, 1); }};
-constexpr TrackChannel kCovarianceVv{"covariance_vv_of_point",
-                                     [](const Track& track) { return track.covariance_px2(1, 1); }};
-
-/// In the order in which the estimators read all but the covariances.
-std::vector<TrackChannel> channels_of(TrackLayout layout) {
-  switch (layout) {
-    case TrackLayout::VINS_MONO:
-      return {kId, kU, kV, kVelocityX, kVelocityY, kCovarianceUu, kCovarianceUv, kCovarianceVv};
-    case TrackLayout::VINS_FUSION: {
-      const auto nothing = [](const Track&) { return 0.0; };
-      // It stores the last three, a point's true place, and only draws them.
-      return {kId,
-              {"camera_of_point", nothing},
-              kU,
-              kV,
-              kVelocityX,
-              kVelocityY,
-              {"true_x_of_point", nothing},
-              {"true_y_of_point", nothing},
-              {"true_z_of_point", nothing},
-              kCovarianceUu,
-              kCovarianceUv,
-              kCovarianceVv};
-    }
-  }
-  return {};
-}
+/// In the order in which the estimators read all but the covariances. VINS-Fusion stores a point's true place, and only
+/// draws it.
+constexpr TrackChannel kChannels[] = {
+    {"id_of_point", false, [](const Track& track) { return static_cast<double>(track.id); }},
+    {"camera_of_point", true, [](const Track&) { return 0.0; }},
+    {"u_of_point", false, [](const Track& track) { return track.pixel_px.x(); }},
+    {"v_of_point", false, [](const Track& track) { return track.pixel_px.y(); }},
+    {"velocity_x_of_point", false, [](const Track& track) { return track.velocity_1_s.x(); }},
+    {"velocity_y_of_point", false, [](const Track& track) { return track.velocity_1_s.y(); }},
+    {"true_x_of_point", true, [](const Track&) { return 0.0; }},
+    {"true_y_of_point", true, [](const Track&) { return 0.0; }},
+    {"true_z_of_point", true, [](const Track&) { return 0.0; }},
+    {"covariance_uu_of_point", false, [](const Track& track) { return track.covariance_px2(0, 0); }},
+    {"covariance_uv_of_point", false, [](const Track& track) { return track.covariance_px2(0, 1); }},
+    {"covariance_vv_of_point", false, [](const Track& track) { return track.covariance_px2(1, 1); }}};
 
 /// One marker without content.
 visualization_msgs::MarkerArrayPtr make_markers(const std_msgs::Header& header, std::int32_t action) {
@@ -85,13 +67,6 @@ BlurFieldPtr to_message(const FrameBlur& field, const std_msgs::Header& header) 
   message->block_width = message->block_height = static_cast<std::uint32_t>(field.grid.block_size_px());
   message->cols = static_cast<std::uint32_t>(field.grid.cols());
   message->rows = static_cast<std::uint32_t>(field.grid.rows());
-  message->angle.reserve(field.blocks.size());
-  message->extent.reserve(field.blocks.size());
-  message->status.reserve(field.blocks.size());
-  message->source.reserve(field.blocks.size());
-  message->residual_x.reserve(field.blocks.size());
-  message->residual_y.reserve(field.blocks.size());
-  message->residual_stddev.reserve(field.blocks.size());
   for (const BlockBlur& block : field.blocks) {
     const ResidualVelocity residual = block.residual.value_or(ResidualVelocity{});
     message->source.push_back(!block.residual      ? BlurField::SOURCE_GYROSCOPE
@@ -195,7 +170,11 @@ KeypointArrayPtr to_message(const PipelineResult& result, const KeypointOptions&
 
 sensor_msgs::PointCloudPtr to_message(const std::vector<Track>& tracks, TrackLayout layout,
                                       const std_msgs::Header& header) {
-  const std::vector<TrackChannel> channels = channels_of(layout);
+  std::vector<TrackChannel> channels;
+  std::copy_if(std::begin(kChannels), std::end(kChannels), std::back_inserter(channels),
+               [layout](const TrackChannel& channel) {
+                 return layout == TrackLayout::VINS_FUSION || !channel.vins_fusion_only;
+               });
   auto message = boost::make_shared<sensor_msgs::PointCloud>();
   message->header = header;
   message->channels.resize(channels.size());

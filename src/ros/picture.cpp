@@ -17,9 +17,6 @@ bool show_same_pixels(const sensor_msgs::Image& a, const sensor_msgs::Image& b) 
   const std::optional<int> type = type_of_encoding(a.encoding);
   if (!type) return false;
   const std::size_t row_bytes = a.width * static_cast<std::size_t>(CV_ELEM_SIZE(*type));
-  if (a.step == row_bytes && b.step == row_bytes) {
-    return std::memcmp(a.data.data(), b.data.data(), row_bytes * a.height) == 0;
-  }
   for (std::size_t y = 0; y < a.height; ++y) {
     if (std::memcmp(a.data.data() + y * a.step, b.data.data() + y * b.step, row_bytes) != 0) return false;
   }

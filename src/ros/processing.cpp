@@ -44,6 +44,8 @@ struct MadePicture {
 
 namespace {
 
+namespace encodings = sensor_msgs::image_encodings;
+
 /// What is wrong with saturated samples among those that the frame itself needs; empty when there is none.
 std::string saturation_text(const SynchronizedFrame& synchronized) {
   const GyroOptions& options = synchronized.gyro;
@@ -88,7 +90,7 @@ void add_field(const SynchronizedFrame& synchronized, const RowExposure& exposur
 void add_global_shutter(const PipelineResult& result, const PendingFrame& frame, FrameOutput* output) {
   auto image = to_image(result.global_shutter, *frame.image);
   if (result.global_shutter.channels() != CV_MAT_CN(*type_of_encoding(frame.image->encoding))) {
-    namespace encodings = sensor_msgs::image_encodings;  // a mosaic, or YUV 4:2:2, has become BGR
+    // A mosaic, or YUV 4:2:2, has become BGR.
     image->encoding = result.global_shutter.depth() == CV_16U ? encodings::BGR16 : encodings::BGR8;
   }
   auto info = frame.info ? boost::make_shared<sensor_msgs::CameraInfo>(*frame.info)
@@ -128,11 +130,13 @@ void add_messages(const SynchronizedFrame& synchronized, const FrameRequest& req
     output->keypoints = to_message(result, synchronized.config->pipeline.keypoints, header);
     if (frame.lens != Lens::CALIBRATED) remove_rays(output->keypoints.get());
   }
-  if (request.overlay) output->overlay = to_bgr_image(draw_overlay(result.input_luminance, result.field), header);
+  if (request.overlay)
+    output->overlay = to_image(draw_overlay(result.input_luminance, result.field), header, encodings::BGR8);
   if (request.markers && frame.lens == Lens::CALIBRATED)
     output->markers = to_markers(result.field, Camera(*frame.calibration), header);
   output->quality = to_message(quality, header);
-  if (request.trust_mask) output->trust_mask = to_mono_image(trust_mask(result.field, synchronized.mask), header);
+  if (request.trust_mask)
+    output->trust_mask = to_image(trust_mask(result.field, synchronized.mask), header, encodings::MONO8);
 }
 
 /// The trust mask of a frame that passes through. Where its size is not that of its data there is none to have.
@@ -140,7 +144,7 @@ sensor_msgs::ImagePtr no_trust(const sensor_msgs::Image& input) {
   const bool has_pixels = std::uint64_t{input.width} * input.height <= input.data.size();
   const cv::Size size =
       has_pixels ? cv::Size(static_cast<int>(input.width), static_cast<int>(input.height)) : cv::Size();
-  return to_mono_image(cv::Mat::zeros(size, CV_8UC1), input.header);
+  return to_image(cv::Mat::zeros(size, CV_8UC1), input.header, encodings::MONO8);
 }
 
 /// The output of a frame that failed. Outputs made before the failure are not published.
@@ -169,10 +173,9 @@ std::string drop_text(const FrameBlur& field) {
 }  // namespace
 
 bool Processor::process(FrameInWork* work) {
-  const Stopwatch watch;
-  const SynchronizedFrame& synchronized = work->synchronized;
-  const PendingFrame& frame = synchronized.frame;
+  const PendingFrame& frame = work->synchronized.frame;
   FrameOutput& output = work->output;
+  const StageTimer timer(&output.total_ms);
   StereoCamera* const stereo = environment_.stereo.get();
   const bool begins = !output.input;
   if (begins) {
@@ -183,43 +186,30 @@ bool Processor::process(FrameInWork* work) {
   }
   if (output.reason == PassThroughReason::NONE) {
     if (stereo && begins) stereo->begin(frame.stamp_ns);
-    bool is_done = true;
     try {
-      is_done = process_ready(work);
+      const std::optional<FrameAction> action = examine(work);
+      if (!action) return false;
+      deblur(*action, work);
     } catch (const std::exception& error) {
       output = pass_through_failed(error.what(), output);
     } catch (...) {
       output = pass_through_failed("an exception of unknown type", output);
     }
-    if (!is_done) {
-      output.total_ms += watch.ms();
-      return false;
-    }
   } else if (stereo) {
     stereo->pass_through(frame.stamp_ns, output.reason);
   }
-  if (!output.dropped) complete(synchronized, work->request, &output);
-  output.total_ms += watch.ms();
+  if (!output.dropped) complete(work);
   if (stereo && output.reason != PassThroughReason::NONE) stereo->pass_through(frame.stamp_ns, output.reason);
   return true;
 }
 
-bool Processor::process_ready(FrameInWork* work) {
+std::optional<FrameAction> Processor::examine(FrameInWork* work) {
   if (!work->rotation) {
     begin(work);
     if (!work->made) validate(work);
   }
-  const FrameBlur& field = work->made ? work->made->result.field : work->validated->field;
-  const bool is_known = work->made || work->validated->blur_is_known();
-  const std::optional<FrameAction> action = is_known ? decide(work->synchronized, field) : FrameAction();
-  if (!action) return false;
-  // What was made of the picture is of one that is deblurred.
-  if (work->made && !action->deblurs()) {
-    work->made.reset();
-    validate(work);
-  }
-  deblur(*action, work);
-  return true;
+  if (!work->made && !work->validated->blur_is_known()) return FrameAction();
+  return decide(work->synchronized, work->made ? work->made->result.field : work->validated->field);
 }
 
 void Processor::begin(FrameInWork* work) {
@@ -256,6 +246,11 @@ void Processor::validate(FrameInWork* work) {
 void Processor::deblur(const FrameAction& action, FrameInWork* work) {
   const SynchronizedFrame& synchronized = work->synchronized;
   const PendingFrame& frame = synchronized.frame;
+  // What was made of the picture is of one that is deblurred.
+  if (work->made && !action.deblurs()) {
+    work->made.reset();
+    validate(work);
+  }
   PipelineResult result;
   if (work->made) {
     result = work->made->result;
@@ -275,61 +270,59 @@ void Processor::deblur(const FrameAction& action, FrameInWork* work) {
   result.reference_ns += frame.stamp_ns - frame.picture_ns();
   add_findings(synchronized, result, &output);
   output.times.blur_field_ms += work->preparation_ms;
-  add_result(synchronized, work->request, action, *work->rotation, std::move(result), &output);
+  add_result(action, std::move(result), work);
 }
 
-void Processor::add_result(const SynchronizedFrame& synchronized, const FrameRequest& request,
-                           const FrameAction& action, const RotationTrack& rotation, PipelineResult result,
-                           FrameOutput* output) {
+void Processor::add_result(const FrameAction& action, PipelineResult result, FrameInWork* work) {
+  const SynchronizedFrame& synchronized = work->synchronized;
+  FrameOutput& output = work->output;
   const RowExposure exposure = synchronized.exposure->with_exposure(result.exposure_ns);
-  output->dropped = !action.drop_text.empty();
-  if (output->dropped) {
-    output->image.reset();
+  output.dropped = !action.drop_text.empty();
+  if (output.dropped) {
+    output.image.reset();
     if (!action.pass_through_text.empty()) result.field.reject_all();
-  } else if (request.wants_tracks() && synchronized.frame.lens == Lens::CALIBRATED) {
-    add_tracks(synchronized, request, rotation, exposure, result, output);
+  } else if (work->request.wants_tracks() && synchronized.frame.lens == Lens::CALIBRATED) {
+    add_tracks(exposure, result, work);
   }
   if (!result.blur_is_known()) {
-    output->reason = PassThroughReason::NO_EXPOSURE_TIME;
-    output->reason_text = unknown_exposure_text(result.exposure_need);
+    output.reason = PassThroughReason::NO_EXPOSURE_TIME;
+    output.reason_text = unknown_exposure_text(result.exposure_need);
     return;
   }
-  const StageTimer timer(&output->messages_ms);
+  const StageTimer timer(&output.messages_ms);
   const FrameQuality quality = assess_quality(result.field);
-  add_messages(synchronized, request, result, quality, output);
-  if (action.pass_through_text.empty() || output->dropped) {
-    output->exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field,
-                                            synchronized.config->pipeline.noise);
-    add_field(synchronized, exposure, rotation, result.field, output);
-    output->field = std::move(result.field);
+  add_messages(synchronized, work->request, result, quality, &output);
+  if (action.pass_through_text.empty() || output.dropped) {
+    output.exposure_terms = exposure_terms(result.field, quality, synchronized.config->pipeline.blur_field);
+    add_field(synchronized, exposure, *work->rotation, result.field, &output);
+    output.field = std::move(result.field);
   } else {
-    output->reason = PassThroughReason::STEREO_PARTNER;
-    output->reason_text = action.pass_through_text;
+    output.reason = PassThroughReason::STEREO_PARTNER;
+    output.reason_text = action.pass_through_text;
   }
-  if (output->dropped) output->blur_field->reason_text = output->reason_text = "drop_poor: " + action.drop_text;
+  if (output.dropped) output.blur_field->reason_text = output.reason_text = "drop_poor: " + action.drop_text;
 }
 
-void Processor::add_tracks(const SynchronizedFrame& synchronized, const FrameRequest& request,
-                           const RotationTrack& rotation, const RowExposure& exposure, const PipelineResult& result,
-                           FrameOutput* output) {
-  const StageTimer timer(&output->tracks_ms);
-  const PendingFrame& frame = synchronized.frame;
+void Processor::add_tracks(const RowExposure& exposure, const PipelineResult& result, FrameInWork* work) {
+  const StageTimer timer(&work->output.tracks_ms);
+  const Config& config = *work->synchronized.config;
+  const PendingFrame& frame = work->synchronized.frame;
   const Camera camera(*frame.calibration);
-  tracker_.set_options(synchronized.config->tracker);
-  tracker_.set_threads(synchronized.config->pipeline.threads);
-  tracker_.set_mask(synchronized.mask);
-  const auto track = frame.repeats ? &FeatureTracker::track_again : &FeatureTracker::track;
+  tracker_.set_options(config.tracker);
+  tracker_.set_threads(config.pipeline.threads);
+  tracker_.set_mask(work->synchronized.mask);
+  const RotationTrack& rotation = *work->rotation;
   const std::vector<Track>& tracks =
-      (tracker_.*track)(result.input_luminance, camera, rotation, exposure, &result.field);
-  const TrackLayout layout = synchronized.config->track_layout;
-  if (request.tracks) output->tracks = to_message(tracks, layout, frame.image->header);
-  // While the exposure is not known, neither is the time of the rows.
-  if (!request.global_shutter_tracks || !result.blur_is_known()) return;
+      tracker_.track(result.input_luminance, camera, rotation, exposure, &result.field, frame.repeats);
   std_msgs::Header header = frame.image->header;
+  if (work->request.tracks) work->output.tracks = to_message(tracks, config.track_layout, header);
+  // While the exposure is not known, neither is the time of the rows.
+  if (!work->request.global_shutter_tracks || !result.blur_is_known()) return;
   header.stamp = to_ros_time(result.reference_ns);
-  const TimeNs reference_ns = exposure.reference_time(synchronized.config->pipeline.rectify_to);
-  output->global_shutter_tracks = to_message(
-      track_rectifier_.rectify(tracks, result.field, camera, rotation, exposure, reference_ns), layout, header);
+  const TimeNs reference_ns = exposure.reference_time(config.pipeline.rectify_to);
+  work->output.global_shutter_tracks =
+      to_message(track_rectifier_.rectify(tracks, result.field, camera, rotation, exposure, reference_ns),
+                 config.track_layout, header);
 }
 
 std::optional<FrameAction> Processor::decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const {
@@ -365,20 +358,22 @@ void Processor::set_up_pipeline(const SynchronizedFrame& synchronized) {
   synchronized.pipeline->set_mask(synchronized.mask);
 }
 
-void Processor::complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output) {
-  const StageTimer timer(&output->messages_ms);
-  const PendingFrame& frame = synchronized.frame;
-  output->camera_info =
+void Processor::complete(FrameInWork* work) {
+  FrameOutput& output = work->output;
+  const StageTimer timer(&output.messages_ms);
+  const FrameRequest& request = work->request;
+  const PendingFrame& frame = work->synchronized.frame;
+  output.camera_info =
       frame.info ? frame.info : sensor_msgs::CameraInfoConstPtr(uncalibrated_camera_info(*frame.image));
-  if (request.global_shutter && !output->global_shutter) {
-    output->global_shutter = output->input;
-    output->global_shutter_info = output->camera_info;
+  if (request.global_shutter && !output.global_shutter) {
+    output.global_shutter = output.input;
+    output.global_shutter_info = output.camera_info;
   }
-  if (!output->blur_field) output->blur_field = pass_through_message(output->reason, output->reason_text, *frame.image);
-  if (!output->quality) output->quality = unknown_quality(frame.image->header);
-  if (request.trust_mask && !output->trust_mask) output->trust_mask = no_trust(*frame.image);
-  if (request.markers && !output->markers) output->markers = no_markers(frame.image->header);
-  if (request.keypoints && !output->keypoints) add_raw_keypoints(synchronized, output);
+  if (!output.blur_field) output.blur_field = pass_through_message(output.reason, output.reason_text, *frame.image);
+  if (!output.quality) output.quality = unknown_quality(frame.image->header);
+  if (request.trust_mask && !output.trust_mask) output.trust_mask = no_trust(*frame.image);
+  if (request.markers && !output.markers) output.markers = no_markers(frame.image->header);
+  if (request.keypoints && !output.keypoints) add_raw_keypoints(work->synchronized, &output);
 }
 
 void Processor::add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOutput* output) {

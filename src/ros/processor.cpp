@@ -355,9 +355,4 @@ bool Processor::estimate_bias(std::string* text) {
   return bias_rad_s.has_value();
 }
 
-Eigen::Vector3d Processor::bias_rad_s() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return calibration_.bias_rad_s();
-}
-
 }  // namespace gyro_deblur

@@ -151,9 +151,6 @@ class Processor {
   /// Nothing before the first image.
   std::optional<CalibrationByImages> calibration_by_images() const;
 
-  /// Bias in use [rad/s].
-  Eigen::Vector3d bias_rad_s() const;
-
   ProcessorStatistics statistics() const;
 
  private:
@@ -175,8 +172,8 @@ class Processor {
   /// (for lack of memory) pass.
   /// @return false: it waits for its stereo partners, and has to be processed again
   bool process(FrameInWork* work);
-  /// What process() does of a frame that is ready.
-  bool process_ready(FrameInWork* work);
+  /// What is done with a frame that is ready, by its validated blur; nothing while it waits for its stereo partners.
+  std::optional<FrameAction> examine(FrameInWork* work);
   /// Sets what processing goes by.
   void begin(FrameInWork* work);
   /// Estimates the frame's blur, and validates it by the exposure that is chosen then.
@@ -190,13 +187,11 @@ class Processor {
   /// What is done with a frame that has this validated field; nothing while it waits for its stereo partners.
   std::optional<FrameAction> decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
   /// What of the output the pipeline's result gives.
-  void add_result(const SynchronizedFrame& synchronized, const FrameRequest& request, const FrameAction& action,
-                  const RotationTrack& rotation, PipelineResult result, FrameOutput* output);
+  void add_result(const FrameAction& action, PipelineResult result, FrameInWork* work);
   /// Corners followed from the image before, as they are in the image and at the reference time.
-  void add_tracks(const SynchronizedFrame& synchronized, const FrameRequest& request, const RotationTrack& rotation,
-                  const RowExposure& exposure, const PipelineResult& result, FrameOutput* output);
+  void add_tracks(const RowExposure& exposure, const PipelineResult& result, FrameInWork* work);
   /// What a published frame has in any case.
-  void complete(const SynchronizedFrame& synchronized, const FrameRequest& request, FrameOutput* output);
+  void complete(FrameInWork* work);
   /// Keypoints of a frame that passes through; an empty array when it can have none.
   void add_raw_keypoints(const SynchronizedFrame& synchronized, FrameOutput* output);
   /// Uses what is stored for images of this size. Needs mutex_.

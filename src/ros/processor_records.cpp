@@ -117,6 +117,20 @@ void Processor::check_gyro_unit(const FrameOutput& output) {
                    fault->seen_rad_s));
 }
 
+void OutputStatistics::count(const FrameOutput& output) {
+  ++(output.dropped ? dropped_poor : frames_out);
+  if (output.reason != PassThroughReason::NONE) ++passed_through[output.reason];
+  if (output.field) {
+    for (const BlockBlur& block : output.field->blocks) {
+      ++blocks[block.status];
+      if (block.residual) ++blocks_from_images;
+    }
+  }
+  if (output.field && output.field->images_alone && output.reason == PassThroughReason::NONE) ++frames_by_images_alone;
+  for (const auto& [reason, number] : output.fallback_counts) fallback_counts[reason] += number;
+  keypoints_text = output.keypoints_text;
+}
+
 ProcessorStatistics Processor::statistics() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   ProcessorStatistics statistics;
@@ -126,7 +140,6 @@ ProcessorStatistics Processor::statistics() const {
   statistics.waiting = frames_waiting();
   statistics.frame_period_ns = synchronizer_.frame_period().get();
   statistics.gyro_available = synchronizer_.gyro().available();
-  if (!statistics.gyro_available.empty()) statistics.newest_imu_ns = statistics.gyro_available.end_ns;
   if (pipeline_) statistics.engine = pipeline_->engine();
   statistics.configuration_error = synchronizer_.config_error();
   statistics.bias_rad_s = calibration_.bias_rad_s();

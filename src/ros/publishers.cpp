@@ -8,8 +8,6 @@
 
 #include <image_transport/camera_common.h>
 
-#include "ros/outputs.hpp"
-
 namespace gyro_deblur {
 
 void Publishers::advertise(ros::NodeHandle& nh, image_transport::ImageTransport& transport, std::uint32_t queue_size,

@@ -92,13 +92,7 @@ void SelfCalibrator::add(std::vector<GyroSample> samples, Image image) {
   }
   samples_.clear();
   if (work_ == Work::AT_ONCE) {
-    while (!jobs_.empty()) {
-      const Job job = std::move(jobs_.front());
-      jobs_.pop_front();
-      lock.unlock();
-      run(job);
-      lock.lock();
-    }
+    while (!jobs_.empty()) run_first(&lock);
     return;
   }
   if (!thread_.joinable()) thread_ = std::thread(&SelfCalibrator::work, this);
@@ -111,21 +105,21 @@ void SelfCalibrator::work() {
   while (true) {
     wakes_.wait(lock, [this] { return stops_ || !jobs_.empty(); });
     if (stops_) return;
-    const Job job = std::move(jobs_.front());
-    jobs_.pop_front();
-    lock.unlock();
-    run(job);
-    lock.lock();
+    run_first(&lock);
   }
+}
+
+void SelfCalibrator::run_first(std::unique_lock<std::mutex>* lock) {
+  const Job job = std::move(jobs_.front());
+  jobs_.pop_front();
+  lock->unlock();
+  run(job);
+  lock->lock();
 }
 
 void SelfCalibrator::run(const Job& job) {
   try {
-    if (job.kind == Job::Kind::CLEAR) {
-      SelfCalibrationOptions options;
-      options.expected_offset_ns = job.expected_offset_ns;
-      calibration_ = SelfCalibration(options);
-    }
+    if (job.kind == Job::Kind::CLEAR) calibration_ = SelfCalibration(job.expected_offset_ns);
     if (job.kind != Job::Kind::IMAGE) {
       calibration_.restart();
       tracker_.reset();

@@ -71,6 +71,8 @@ class SelfCalibrator {
   };
   void forget(Job::Kind kind);  // needs mutex_
   void work();
+  /// Runs the first job, which leaves the queue. Gives the lock of mutex_ back meanwhile.
+  void run_first(std::unique_lock<std::mutex>* lock);
   void run(const Job& job);
   void look_at(const Image& image);
 

@@ -15,15 +15,8 @@ constexpr std::uint32_t kQueue = 1000;
 /// What those who share have to agree on.
 using Key = std::tuple<std::string, TimeNs, TimeNs, double>;
 
-struct SharedImus {
-  std::mutex mutex;
-  std::map<Key, std::weak_ptr<SharedImu>> entries;
-};
-
-SharedImus& shared_imus() {
-  static SharedImus instance;
-  return instance;
-}
+std::mutex shared_imus_mutex;  // the next one
+std::map<Key, std::weak_ptr<SharedImu>> shared_imus;
 
 void log(LogLevel level, const std::string& text) {
   switch (level) {
@@ -42,10 +35,9 @@ void log(LogLevel level, const std::string& text) {
 }  // namespace
 
 std::shared_ptr<SharedImu> SharedImu::get(const std::string& topic, const GyroSource::Options& options) {
-  SharedImus& all = shared_imus();
-  const std::lock_guard<std::mutex> lock(all.mutex);
+  const std::lock_guard<std::mutex> lock(shared_imus_mutex);
   std::weak_ptr<SharedImu>& entry =
-      all.entries[{topic, options.time_jump_ns, options.gyro.max_gap_ns, options.gyro.range_rad_s}];
+      shared_imus[{topic, options.time_jump_ns, options.gyro.max_gap_ns, options.gyro.range_rad_s}];
   std::shared_ptr<SharedImu> imu = entry.lock();
   if (imu) {
     imu->source_->require_capacity(options.capacity_ns);
@@ -61,10 +53,9 @@ std::shared_ptr<SharedImu> SharedImu::unshared(const std::string& topic, const G
 }
 
 std::size_t SharedImu::count() {
-  SharedImus& all = shared_imus();
-  const std::lock_guard<std::mutex> lock(all.mutex);
+  const std::lock_guard<std::mutex> lock(shared_imus_mutex);
   std::size_t held = 0;
-  for (const auto& [key, entry] : all.entries) held += !entry.expired();
+  for (const auto& [key, entry] : shared_imus) held += !entry.expired();
   return held;
 }
 

@@ -40,7 +40,6 @@ struct OutputStatistics {
 struct ProcessorStatistics : ImuStatistics, InputStatistics, OutputStatistics {
   std::size_t waiting = 0;                               ///< frames that are not published yet
   std::optional<TimeNs> frame_period_ns;                 ///< by the stamps
-  std::optional<TimeNs> newest_imu_ns;                   ///< IMU clock
   TimeRange gyro_available;                              ///< IMU clock
   Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();  ///< in use
   std::map<std::string, InputProblem> input_problems;    ///< by kind

@@ -51,15 +51,44 @@ std::size_t interval(const std::vector<double>& times, double t) {
   return std::min(above == 0 ? 0 : above - 1, times.size() - 2);
 }
 
+// Natural cubic spline of a 3-vector: twice continuously differentiable. Needs two times or more, strictly increasing.
+class CubicSpline {
+ public:
+  CubicSpline(std::vector<double> times_s, std::vector<Eigen::Vector3d> values)
+      : times_(std::move(times_s)), values_(std::move(values)), curvatures_(times_.size(), Eigen::Vector3d::Zero()) {
+    // Tridiagonal system of the second derivatives, zero at both ends (Thomas algorithm).
+    const std::size_t n = times_.size();
+    std::vector<double> upper(n, 0.0);
+    for (std::size_t i = 1; i + 1 < n; ++i) {
+      const double before = times_[i] - times_[i - 1], after = times_[i + 1] - times_[i];
+      const double pivot = 2 * (before + after) - before * upper[i - 1];
+      upper[i] = after / pivot;
+      const Eigen::Vector3d slope_change =
+          (values_[i + 1] - values_[i]) / after - (values_[i] - values_[i - 1]) / before;
+      curvatures_[i] = (6 * slope_change - before * curvatures_[i - 1]) / pivot;
+    }
+    for (std::size_t i = n - 1; i-- > 1;) curvatures_[i] -= upper[i] * curvatures_[i + 1];
+  }
+
+  Eigen::Vector3d evaluate(double t, int derivative) const {
+    const std::size_t i = interval(times_, t);
+    const double h = times_[i + 1] - times_[i], b = (t - times_[i]) / h, a = 1 - b;
+    const Eigen::Vector3d &y0 = values_[i], &y1 = values_[i + 1], &c0 = curvatures_[i], &c1 = curvatures_[i + 1];
+    if (derivative == 0) return a * y0 + b * y1 + h * h / 6 * ((a * a * a - a) * c0 + (b * b * b - b) * c1);
+    if (derivative == 1) return (y1 - y0) / h + h / 6 * ((1 - 3 * a * a) * c0 + (3 * b * b - 1) * c1);
+    return a * c0 + b * c1;
+  }
+
+ private:
+  std::vector<double> times_;
+  std::vector<Eigen::Vector3d> values_, curvatures_;
+};
+
 class CurveMotion : public Motion {
  public:
   CurveMotion(VectorCurve rotation, VectorCurve position)
       : rotation_(std::move(rotation)), position_(std::move(position)) {}
 
-  Span span() const override {
-    const Span a = rotation_.span(), b = position_.span();
-    return {std::max(a.begin_s, b.begin_s), std::min(a.end_s, b.end_s)};
-  }
   Pose pose(double t) const override { return {exp_rotation(rotation_.evaluate(t, 0)), position_.evaluate(t, 0)}; }
   Eigen::Vector3d rate(double t) const override {
     return right_jacobian(rotation_.evaluate(t, 0)) * rotation_.evaluate(t, 1);
@@ -75,7 +104,6 @@ class ConstantRateMotion : public Motion {
   ConstantRateMotion(const Eigen::Quaterniond& R_world_cam_0, const Eigen::Vector3d& rate, VectorCurve position)
       : R_world_cam_0_(R_world_cam_0), rate_(rate), position_(std::move(position)) {}
 
-  Span span() const override { return position_.span(); }
   Pose pose(double t) const override { return {R_world_cam_0_ * exp_rotation(rate_ * t), position_.evaluate(t, 0)}; }
   Eigen::Vector3d rate(double) const override { return rate_; }
   Eigen::Vector3d acceleration(double t) const override { return position_.evaluate(t, 2); }
@@ -104,10 +132,7 @@ class GyroTraceMotion final : public Motion {
     }
   }
 
-  Span span() const override {
-    const Span p = position_.span();
-    return {std::max(0.0, p.begin_s), std::min(times_.back(), p.end_s)};
-  }
+  Span span() const override { return {0, times_.back()}; }
   Pose pose(double t) const override {
     const std::size_t i = std::min(static_cast<std::size_t>(std::max(0.0, t / kTraceStepS)), knots_.size() - 1);
     const double t0 = kTraceStepS * static_cast<double>(i);
@@ -193,7 +218,6 @@ class OrbitMotion : public Motion {
  public:
   explicit OrbitMotion(const Orbit& orbit) : orbit_(orbit) {}
 
-  Span span() const override { return {}; }
   Pose pose(double t) const override {
     const Eigen::Quaterniond R(Eigen::AngleAxisd(angle(t, 0), orbit_.axis));
     return {R, orbit_.center_m + R * Eigen::Vector3d(0, 0, -orbit_.radius_m)};
@@ -265,30 +289,6 @@ std::vector<NumberLine> read_number_lines(const std::string& path, std::size_t m
 
 }  // namespace
 
-CubicSpline::CubicSpline(std::vector<double> times_s, std::vector<Eigen::Vector3d> values)
-    : times_(std::move(times_s)), values_(std::move(values)), curvatures_(times_.size(), Eigen::Vector3d::Zero()) {
-  // Tridiagonal system of the second derivatives, zero at both ends (Thomas algorithm).
-  const std::size_t n = times_.size();
-  std::vector<double> upper(n, 0.0);
-  for (std::size_t i = 1; i + 1 < n; ++i) {
-    const double before = times_[i] - times_[i - 1], after = times_[i + 1] - times_[i];
-    const double pivot = 2 * (before + after) - before * upper[i - 1];
-    upper[i] = after / pivot;
-    const Eigen::Vector3d slope_change = (values_[i + 1] - values_[i]) / after - (values_[i] - values_[i - 1]) / before;
-    curvatures_[i] = (6 * slope_change - before * curvatures_[i - 1]) / pivot;
-  }
-  for (std::size_t i = n - 1; i-- > 1;) curvatures_[i] -= upper[i] * curvatures_[i + 1];
-}
-
-Eigen::Vector3d CubicSpline::evaluate(double t, int derivative) const {
-  const std::size_t i = interval(times_, t);
-  const double h = times_[i + 1] - times_[i], b = (t - times_[i]) / h, a = 1 - b;
-  const Eigen::Vector3d &y0 = values_[i], &y1 = values_[i + 1], &c0 = curvatures_[i], &c1 = curvatures_[i + 1];
-  if (derivative == 0) return a * y0 + b * y1 + h * h / 6 * ((a * a * a - a) * c0 + (b * b * b - b) * c1);
-  if (derivative == 1) return (y1 - y0) / h + h / 6 * ((1 - 3 * a * a) * c0 + (3 * b * b - 1) * c1);
-  return a * c0 + b * c1;
-}
-
 Eigen::Vector3d Sine::evaluate(double t, int derivative) const {
   const double w = 2 * M_PI * frequency_hz, s = std::sin(w * t + phase_rad), c = std::cos(w * t + phase_rad);
   const double f[3] = {s, w * c, -w * w * s};
@@ -307,7 +307,6 @@ Eigen::Vector3d VectorCurve::evaluate(double t, int derivative) const {
   if (derivative == 0) sum = offset + rate * t;
   if (derivative == 1) sum = rate;
   for (const Sine& sine : sines) sum += sine.evaluate(t, derivative);
-  if (spline) sum += spline->evaluate(t, derivative);
   return sum;
 }
 

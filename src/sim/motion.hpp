@@ -30,26 +30,12 @@ struct Span {
 class Motion {
  public:
   virtual ~Motion() = default;
-  virtual Span span() const = 0;
+  virtual Span span() const { return {}; }
   virtual Pose pose(double t_s) const = 0;
   /// Body rate of the camera frame [rad/s], in camera coordinates: d/dt R_world_cam = R_world_cam [rate]x.
   virtual Eigen::Vector3d rate(double t_s) const = 0;
   /// Second derivative of the position [m/s^2], world coordinates.
   virtual Eigen::Vector3d acceleration(double t_s) const = 0;
-};
-
-/// Natural cubic spline of a 3-vector through knots: twice continuously differentiable.
-class CubicSpline {
- public:
-  /// Preconditions: at least two times, strictly increasing, as many values.
-  CubicSpline(std::vector<double> times_s, std::vector<Eigen::Vector3d> values);
-  Span span() const { return {times_.front(), times_.back()}; }
-  /// @param derivative 0, 1 or 2
-  Eigen::Vector3d evaluate(double t_s, int derivative) const;
-
- private:
-  std::vector<double> times_;
-  std::vector<Eigen::Vector3d> values_, curvatures_;
 };
 
 /// amplitude * sin(2 pi frequency t + phase), within a window under the envelope sin^4(pi (t - begin) / (end - begin)),
@@ -63,14 +49,12 @@ struct Sine {
   Eigen::Vector3d evaluate(double t_s, int derivative) const;
 };
 
-/// offset + rate t + sines + spline, of any unit, with its first two derivatives.
+/// offset + rate t + sines, of any unit, with its first two derivatives.
 struct VectorCurve {
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();
   Eigen::Vector3d rate = Eigen::Vector3d::Zero();
   std::vector<Sine> sines;
-  std::optional<CubicSpline> spline;
 
-  Span span() const { return spline ? spline->span() : Span{}; }
   /// @param derivative 0, 1 or 2
   Eigen::Vector3d evaluate(double t_s, int derivative) const;
 };

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <initializer_list>
+#include <filesystem>
 #include <set>
 #include <utility>
 
@@ -33,7 +33,11 @@ class Section {
     if (!node_.IsMap()) throw OptionError(at(node_) + (path_.empty() ? "scene" : path_) + " is not a map of keys");
   }
 
-  bool has(const std::string& key) const { return static_cast<bool>(node_[key]); }
+  /// The key is known from then on.
+  bool has(const std::string& key) const {
+    known_.insert(key);
+    return static_cast<bool>(node_[key]);
+  }
 
   /// "FILE:LINE: PATH.KEY"
   std::string name(const std::string& key) const {
@@ -41,7 +45,6 @@ class Section {
   }
 
   YAML::Node required(const std::string& key, const std::string& expected) {
-    known_.insert(key);
     if (!has(key)) throw OptionError(name(key) + " is missing; expected " + expected);
     return node_[key];
   }
@@ -50,7 +53,6 @@ class Section {
     return checked(required(key, "a number"), name(key), min, max, unit);
   }
   double number_or(const std::string& key, double otherwise, double min, double max, const char* unit = "") {
-    known_.insert(key);
     return has(key) ? number(key, min, max, unit) : otherwise;
   }
   std::uint64_t integer_or(const std::string& key, std::uint64_t otherwise, double min, double max) {
@@ -64,10 +66,7 @@ class Section {
     if (!node.IsScalar()) throw OptionError(name(key) + " is not a string");
     return node.Scalar();
   }
-  std::string text_or(const std::string& key, const std::string& otherwise) {
-    known_.insert(key);
-    return has(key) ? text(key) : otherwise;
-  }
+  std::string text_or(const std::string& key, const std::string& otherwise) { return has(key) ? text(key) : otherwise; }
   std::string choice(const std::string& key, const std::vector<std::string>& allowed, const char* otherwise) {
     std::string value = otherwise == nullptr ? text(key) : text_or(key, otherwise);
     if (std::find(allowed.begin(), allowed.end(), value) == allowed.end()) {
@@ -96,7 +95,6 @@ class Section {
   }
   Eigen::Vector3d vector_or(const std::string& key, const Eigen::Vector3d& otherwise, double limit,
                             const char* unit = "") {
-    known_.insert(key);
     return has(key) ? vector(key, limit, unit) : otherwise;
   }
 
@@ -105,7 +103,6 @@ class Section {
     return Section(node, path_.empty() ? key : path_ + "." + key, file_);
   }
   std::vector<Section> sections_or_none(const std::string& key) {
-    known_.insert(key);
     std::vector<Section> list;
     if (!has(key)) return list;
     if (!node_[key].IsSequence()) throw OptionError(name(key) + " is not a list");
@@ -115,9 +112,6 @@ class Section {
     }
     return list;
   }
-
-  /// Marks a key that is read elsewhere.
-  void allow(const std::string& key) { known_.insert(key); }
 
   /// Throws when the map has a key that nobody asked for.
   void finish() const {
@@ -146,11 +140,12 @@ class Section {
 
   YAML::Node node_;
   std::string path_, file_;
-  std::set<std::string> known_;
+  mutable std::set<std::string> known_;  // keys that somebody asked for
 };
 
+/// An absolute path replaces the directory.
 std::string resolve(const std::string& directory, const std::string& file) {
-  return file.empty() || file[0] == '/' || directory.empty() ? file : directory + "/" + file;
+  return (std::filesystem::path(directory) / file).string();
 }
 
 CameraModel parse_camera(Section s) {
@@ -165,11 +160,9 @@ CameraModel parse_camera(Section s) {
   c.cx_px = k[2];
   c.cy_px = k[3];
   c.model = s.choice("distortion_model", lens_model_names(), "none");
-  s.allow("distortion_coefficients");
   if (s.has("distortion_coefficients")) c.coefficients = s.numbers("distortion_coefficients", 0, 8, -1e3, 1e3);
   camera.fps = s.number("fps", 0.1, 1000, "Hz");
   constexpr double kMinExposureS = 1e-6;
-  s.allow("exposure_time");
   if (s.has("exposure_time") && s.required("exposure_time", "").IsSequence()) {
     for (const double e : s.numbers("exposure_time", 1, 1000, kMinExposureS, 1, "s")) {
       camera.exposures_ns.push_back(to_ns(e));
@@ -199,7 +192,6 @@ ImuModel parse_imu(Section s) {
   imu.accel_bias_m_s2 = s.vector_or("accel_bias", imu.accel_bias_m_s2, 100, "m/s^2");
   imu.accel_noise_m_s2 = s.number_or("accel_noise", 0, 0, 100, "m/s^2");
   imu.time_offset_ns = to_ns(s.number_or("time_offset", 0, -10, 10, "s"));
-  s.allow("R_cam_imu");
   if (s.has("R_cam_imu")) {
     const std::vector<double> r = s.numbers("R_cam_imu", 9, 9, -1.001, 1.001);
     const Eigen::Matrix3d R = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(r.data());
@@ -227,7 +219,6 @@ Plane parse_plane(Section s, const std::string& directory) {
   if (texture == "procedural") {
     std::vector<double> pixels = {2048, 0};
     pixels[1] = std::clamp(std::round(pixels[0] * plane.height_m / plane.width_m), 64.0, 8192.0);
-    s.allow("texture_size");
     if (s.has("texture_size")) pixels = s.numbers("texture_size", 2, 2, 64, 8192, "px");
     const std::uint64_t seed = s.integer_or("texture_seed", 1, 0, 1e9);
     plane.texture = procedural_texture(static_cast<int>(pixels[0]), static_cast<int>(pixels[1]), seed);
@@ -242,9 +233,12 @@ Plane parse_plane(Section s, const std::string& directory) {
   return plane;
 }
 
+/// All 0 without the key.
 /// @param factor  from the file's unit to radians or metres
-VectorCurve parse_curve(Section s, double limit, double factor, const char* unit) {
+VectorCurve parse_curve(Section& parent, const std::string& key, double limit, double factor, const char* unit) {
   VectorCurve curve;
+  if (!parent.has(key)) return curve;
+  Section s = parent.section(key);
   curve.offset = factor * s.vector_or("offset", Eigen::Vector3d::Zero(), limit, unit);
   curve.rate = factor * s.vector_or("rate", Eigen::Vector3d::Zero(), limit, (std::string(unit) + "/s").c_str());
   for (Section& item : s.sections_or_none("sines")) {
@@ -252,7 +246,6 @@ VectorCurve parse_curve(Section s, double limit, double factor, const char* unit
     sine.amplitude = factor * item.vector("amplitude", limit, unit);
     sine.frequency_hz = item.number("frequency", 0, 1000, "Hz");
     sine.phase_rad = kRadPerDeg * item.number_or("phase", 0, -kMaxAngleDeg, kMaxAngleDeg, "deg");
-    item.allow("window");
     if (item.has("window")) {
       const std::vector<double> w = item.numbers("window", 2, 2, -kMaxTimeS, kMaxTimeS, "s");
       if (!(w[1] > w[0])) throw OptionError(item.name("window") + " must end after it begins");
@@ -261,61 +254,25 @@ VectorCurve parse_curve(Section s, double limit, double factor, const char* unit
     item.finish();
     curve.sines.push_back(sine);
   }
-  s.allow("knots");
-  if (s.has("knots")) {
-    const YAML::Node knots = s.required("knots", "");
-    if (!knots.IsSequence() || knots.size() < 2) {
-      throw OptionError(s.name("knots") + " is not a list of at least 2 knots [t, x, y, z]");
-    }
-    std::vector<double> times;
-    std::vector<Eigen::Vector3d> values;
-    for (const YAML::Node& knot : knots) {
-      std::vector<double> v;
-      try {
-        v = knot.as<std::vector<double>>();
-      } catch (const YAML::Exception&) {
-        v.clear();
-      }
-      const std::string name = s.name("knots") + "[" + std::to_string(times.size()) + "]";
-      if (v.size() != 4) throw OptionError(name + " is not [t, x, y, z]");
-      require_range((name + "[0]").c_str(), v[0], -kMaxTimeS, kMaxTimeS, "s");
-      for (int i = 1; i < 4; ++i) {
-        require_range((name + "[" + std::to_string(i) + "]").c_str(), v[i], -limit, limit, unit);
-      }
-      if (!times.empty() && !(v[0] > times.back())) throw OptionError(name + " is not later than the knot before");
-      times.push_back(v[0]);
-      values.push_back(factor * Eigen::Vector3d(v[1], v[2], v[3]));
-    }
-    curve.spline = CubicSpline(times, values);
-  }
   s.finish();
   return curve;
 }
 
-VectorCurve rotation_curve(Section& s) {
-  s.allow("rotation");
-  return s.has("rotation") ? parse_curve(s.section("rotation"), kMaxAngleDeg, kRadPerDeg, "deg") : VectorCurve{};
-}
-
-VectorCurve position_curve(Section& s) {
-  s.allow("position");
-  return s.has("position") ? parse_curve(s.section("position"), kMaxLengthM, 1, "m") : VectorCurve{};
-}
-
 std::unique_ptr<Motion> parse_motion(Section s, const std::string& directory, const Eigen::Matrix3d& R_cam_imu) {
   const std::string type = s.choice("type", {"spline", "constant_rate", "gyro_trace", "trajectory", "orbit"}, nullptr);
+  const auto position = [&s] { return parse_curve(s, "position", kMaxLengthM, 1, "m"); };
   std::unique_ptr<Motion> motion;
   if (type == "spline") {
-    motion = make_curve_motion(rotation_curve(s), position_curve(s));
+    motion = make_curve_motion(parse_curve(s, "rotation", kMaxAngleDeg, kRadPerDeg, "deg"), position());
   } else if (type == "constant_rate") {
     const Eigen::Vector3d rate = kRadPerDeg * s.vector("rate", kMaxAngleDeg, "deg/s");
-    motion = make_constant_rate_motion(rotation_or_identity(s, "orientation"), rate, position_curve(s));
+    motion = make_constant_rate_motion(rotation_or_identity(s, "orientation"), rate, position());
   } else if (type == "gyro_trace") {
     const std::vector<TraceSample> samples = load_gyro_trace(resolve(directory, s.text("file")));
     const double start = s.number_or("start", 0, 0, samples.back().t_s, "s");
     const double scale = s.number_or("scale", 1, -1000, 1000);
-    motion = make_gyro_trace_motion(samples, start, scale, R_cam_imu, rotation_or_identity(s, "orientation"),
-                                    position_curve(s));
+    motion =
+        make_gyro_trace_motion(samples, start, scale, R_cam_imu, rotation_or_identity(s, "orientation"), position());
   } else if (type == "trajectory") {
     const std::vector<TrajectorySample> samples = load_trajectory(resolve(directory, s.text("file")));
     const double start = s.number_or("start", 0, 0, samples.back().t_s, "s");
@@ -395,7 +352,6 @@ Scene parse_scene(const YAML::Node& node, const std::string& directory, const st
   scene.gravity_m_s2 = s.vector_or("gravity", scene.gravity_m_s2, 100, "m/s^2");
   scene.background = s.number_or("background", scene.background, 0, 255, "grey levels");
   scene.camera = parse_camera(s.section("camera"));
-  s.allow("imu");
   if (s.has("imu")) scene.imu = parse_imu(s.section("imu"));
   for (const Section& plane : s.sections_or_none("planes")) scene.planes.push_back(parse_plane(plane, directory));
   scene.motion = parse_motion(s.section("motion"), directory, scene.imu.R_cam_imu);
@@ -417,8 +373,7 @@ Scene load_scene(const std::string& path) {
   } catch (const YAML::Exception& e) {
     throw OptionError(path + ": " + e.what());
   }
-  const std::size_t slash = path.find_last_of('/');
-  return parse_scene(node, slash == std::string::npos ? "" : path.substr(0, slash), path);
+  return parse_scene(node, std::filesystem::path(path).parent_path().string(), path);
 }
 
 }  // namespace gyro_deblur::sim

@@ -29,18 +29,19 @@ std::uint64_t mix(std::uint64_t a, std::uint64_t b) {
 
 // Channel (BGR) that a Bayer pixel sees.
 int bayer_channel(PixelLayout layout, int x, int y) {
-  constexpr int kBlue = 0, kGreen = 1, kRed = 2;
-  const int site = (y & 1) * 2 + (x & 1);
-  switch (layout) {
-    case PixelLayout::BAYER_RGGB:
-      return site == 0 ? kRed : site == 3 ? kBlue : kGreen;
-    case PixelLayout::BAYER_BGGR:
-      return site == 0 ? kBlue : site == 3 ? kRed : kGreen;
-    case PixelLayout::BAYER_GBRG:
-      return site == 1 ? kBlue : site == 2 ? kRed : kGreen;
-    default:  // BAYER_GRBG
-      return site == 1 ? kRed : site == 2 ? kBlue : kGreen;
-  }
+  const char* const colors = layout == PixelLayout::BAYER_RGGB   ? "RGGB"
+                             : layout == PixelLayout::BAYER_BGGR ? "BGGR"
+                             : layout == PixelLayout::BAYER_GBRG ? "GBRG"
+                                                                 : "GRBG";
+  const char color = colors[(y & 1) * 2 + (x & 1)];
+  return color == 'B' ? 0 : color == 'G' ? 1 : 2;
+}
+
+// Pixel of what `ray` sees from `from`, seen from `to`; without a point, what it sees is infinitely far.
+Eigen::Vector2d transfer(const Camera& camera, const Pose& from, const Eigen::Vector3d& ray,
+                         const std::vector<Eigen::Vector3d>& points, const Pose& to) {
+  const Eigen::Vector3d direction = points.empty() ? from.R_world_cam * ray : points.front() - to.p_world_m;
+  return camera.project(to.R_world_cam.conjugate() * direction);
 }
 
 }  // namespace
@@ -157,17 +158,6 @@ std::vector<ImuSample> Simulator::imu() const {
   }
   return samples;
 }
-
-namespace {
-
-// Pixel of what `ray` sees from `from`, seen from `to`; without a point, what it sees is infinitely far.
-Eigen::Vector2d transfer(const Camera& camera, const Pose& from, const Eigen::Vector3d& ray,
-                         const std::vector<Eigen::Vector3d>& points, const Pose& to) {
-  const Eigen::Vector3d direction = points.empty() ? from.R_world_cam * ray : points.front() - to.p_world_m;
-  return camera.project(to.R_world_cam.conjugate() * direction);
-}
-
-}  // namespace
 
 Eigen::Vector2d Simulator::truth_displacement(int i, const Eigen::Vector2d& pixel_px) const {
   const RowExposure rows = exposure(i);

@@ -15,7 +15,6 @@ class Texture {
   /// @param base  CV_8UC1 or CV_8UC3 (BGR), at least 16x16
   explicit Texture(const cv::Mat& base);
 
-  int channels() const { return base_.channels(); }
   int width_px() const { return base_.cols; }
   int height_px() const { return base_.rows; }
 

@@ -6,20 +6,12 @@
 #include <map>
 #include <utility>
 
-#include <Eigen/Geometry>
-
 #include "base/format.hpp"
 #include "gyro_deblur/calibration.hpp"
 #include "sync/missing_inputs.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-double difference(double a, double b) { return std::abs(a - b); }
-double difference(const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return (a - b).norm(); }
-double difference(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
-  return Eigen::AngleAxisd(Eigen::Matrix3d(a.transpose() * b)).angle();
-}
 
 constexpr char kFocalLength[] = "focal_length";
 
@@ -150,15 +142,7 @@ void CalibrationInUse::use() {
 double CalibrationInUse::readout_in_offset_s() const {
   if (has_readout() || !taken_.readout_s.known) return 0;
   // Learned for rows that are exposed at once, when the stamp says.
-  switch (given_.shutter.stamp_row) {
-    case StampRow::FIRST:
-      return taken_.readout_s.value / 2;
-    case StampRow::MIDDLE:
-      return 0;
-    case StampRow::LAST:
-      return -taken_.readout_s.value / 2;
-  }
-  return 0;
+  return readout_to_middle(given_.shutter.stamp_row) * taken_.readout_s.value;
 }
 
 Learned<double> CalibrationInUse::time_offset() const {
@@ -182,7 +166,10 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
   const double before_s = readout_in_offset_s();
   readout_by_messages_ = readout_by_messages;
   taken_.time_offset_s.value += readout_in_offset_s() - before_s;
-  const LearnedCalibration before = taken_;
+  std::set<std::string> known_before;
+  for (const CalibrationRow& row : table()) {
+    if (row.by_images) known_before.insert(row.key);
+  }
   bool changed = take("R_cam_imu", learned.R_cam_imu, &taken_.R_cam_imu);
   changed = take("readout_time", learned.readout_s, &taken_.readout_s) || changed;
   changed = take("time_offset", learned.time_offset_s, &taken_.time_offset_s) || changed;
@@ -196,12 +183,7 @@ bool CalibrationInUse::learn(const LearnedCalibration& learned, double readout_s
   check();
   if (!learns()) return false;
   for (const CalibrationRow& row : table()) {
-    const bool known_before = row.key == "R_cam_imu"      ? before.R_cam_imu.known
-                              : row.key == "time_offset"  ? before.time_offset_s.known
-                              : row.key == "readout_time" ? before.readout_s.known
-                              : row.key == kFocalLength   ? before.focal_length.known
-                                                          : before.bias_rad_s.known;
-    if (row.by_images && !known_before)
+    if (row.by_images && known_before.count(row.key) == 0)
       problems_.log(LogLevel::INFO, row.key + " is estimated from the images and used: " + row.text);
   }
   return changed;

@@ -11,16 +11,14 @@
 
 namespace gyro_deblur {
 
-/// What an exposure time is of, in messages.
-constexpr char kMessageExposure[] = "the exposure message's exposure_time";
-constexpr char kSettingExposure[] = "the driver's exposure setting";
-constexpr char kParameterExposure[] = "exposure_time";
+/// Name of an exposure time in messages. Precondition: it is of a message, a setting or the parameter.
+const char* name_of_given(ExposureOrigin origin);
 
 /// Why an exposure time cannot be one, with the value and what is allowed; nothing where it can be. 0 is not for it to
 /// check: drivers mean that they do not know.
-/// @param name    one of the above
+/// @param origin  as for name_of_given()
 /// @param period  of the camera's frames
-std::optional<std::string> exposure_fault(const std::string& name, TimeNs exposure_ns, const FramePeriod& period);
+std::optional<std::string> exposure_fault(ExposureOrigin origin, TimeNs exposure_ns, const FramePeriod& period);
 
 /// That the blur contradicts an exposure time: both values, what is done, what to do.
 std::string conflict_text(const ExposureConflict& conflict);

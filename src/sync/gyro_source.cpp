@@ -150,8 +150,6 @@ TimeNs GyroReader::horizon_ns() const {
   return *forgotten_.newest_ns + 1;
 }
 
-bool GyroReader::empty() const { return available().empty(); }
-
 TimeRange GyroReader::available() const {
   const std::lock_guard<std::mutex> lock(source_->mutex_);
   const TimeRange all = source_->buffer_.available();

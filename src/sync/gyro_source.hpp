@@ -102,7 +102,7 @@ class GyroReader {
   /// From now on nothing is seen of what had come at the last update().
   void forget() { forgotten_ = seen_; }
 
-  bool empty() const;
+  bool empty() const { return available().empty(); }
   /// As GyroBuffer's, of what is seen.
   TimeRange available() const;
   std::vector<GyroSample> window(const TimeRange& requested) const;

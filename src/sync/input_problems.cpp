@@ -35,10 +35,7 @@ void InputProblems::report(const std::string& kind, const std::string& text, Log
 
 void InputProblems::keep(const std::string& kind, const std::string& text, LogLevel level) {
   InputProblem& problem = problems_[kind];
-  problem.level = level;
-  problem.text = text;
-  problem.active = true;
-  ++problem.count;
+  problem = {level, text, problem.count + 1, true};
 }
 
 void InputProblems::update(const std::string& kind, const std::string& text) {

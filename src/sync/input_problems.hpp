@@ -8,7 +8,7 @@
 #include <string>
 #include <utility>
 
-#include "base/steady_clock.hpp"
+#include "base/stopwatch.hpp"
 
 namespace gyro_deblur {
 

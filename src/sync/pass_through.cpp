@@ -2,7 +2,6 @@
 #include "sync/pass_through.hpp"
 
 #include <cstddef>
-#include <iterator>
 
 namespace gyro_deblur {
 namespace {
@@ -59,11 +58,7 @@ constexpr bool is_in_order() {
 }
 static_assert(is_in_order());
 
-const Row& row_of(PassThroughReason reason) {
-  static constexpr Row kUnknown{PassThroughReason::NONE, "UNKNOWN", kError, ""};
-  const auto value = static_cast<std::size_t>(reason);
-  return value < std::size(kRows) ? kRows[value] : kUnknown;
-}
+const Row& row_of(PassThroughReason reason) { return kRows[static_cast<std::size_t>(reason)]; }
 
 }  // namespace
 

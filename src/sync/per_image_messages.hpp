@@ -158,10 +158,13 @@ class PerImageMessages {
     seen_ = newest_.has_value();
     seen_stamped_ = had_stamps;
   }
-  /// Time was reset, as the stream itself shows: what belongs to an image is decided by the new epoch alone.
-  void clear() { begin_epoch(epochs_.begin()); }
-  /// Time was reset, as another stream shows, see EpochCounter::reset.
-  void clear_old_epoch() { begin_epoch(epochs_.reset()); }
+  /// Time was reset, see EpochCounter::reset: what belongs to an image is decided by the new epoch alone.
+  void clear(ShownBy shown_by) {
+    const int epoch = epochs_.reset(shown_by);
+    while (!entries_.empty() && entries_.front().epoch < epoch) entries_.pop_front();
+    if (liveness_.is_per_image()) newest_.reset();
+    liveness_.clear();
+  }
 
  private:
   struct Entry {
@@ -200,11 +203,6 @@ class PerImageMessages {
   void take_newest(T value) {
     newest_is_as_before_ = newest_ && Same()(*newest_, value);
     newest_ = std::move(value);
-  }
-  void begin_epoch(int epoch) {
-    while (!entries_.empty() && entries_.front().epoch < epoch) entries_.pop_front();
-    if (liveness_.is_per_image()) newest_.reset();
-    liveness_.clear();
   }
 
   std::deque<Entry> entries_;  // in order of arrival

@@ -16,15 +16,8 @@ constexpr std::size_t kPairsKept = 1100;
 
 constexpr char kNothingToDeblur[] = "has no block of this image that may be deblurred";
 
-struct StereoRigs {
-  std::mutex mutex;
-  std::map<std::string, std::weak_ptr<StereoRig>> rigs;
-};
-
-StereoRigs& stereo_rigs() {
-  static StereoRigs instance;
-  return instance;
-}
+std::mutex stereo_rigs_mutex;                                 // the next one
+std::map<std::string, std::weak_ptr<StereoRig>> stereo_rigs;  // by the topic of the IMU
 
 }  // namespace
 
@@ -35,9 +28,8 @@ void StereoRig::Punctuality::hit() { score_ = std::max(score_ - 1, 0); }
 void StereoRig::Punctuality::came_late() { score_ = std::max(score_ - kMiss - 1, 0); }
 
 std::shared_ptr<StereoRig> StereoRig::get(const std::string& imu_topic) {
-  StereoRigs& all = stereo_rigs();
-  const std::lock_guard<std::mutex> lock(all.mutex);
-  std::weak_ptr<StereoRig>& entry = all.rigs[imu_topic];
+  const std::lock_guard<std::mutex> lock(stereo_rigs_mutex);
+  std::weak_ptr<StereoRig>& entry = stereo_rigs[imu_topic];
   std::shared_ptr<StereoRig> rig = entry.lock();
   if (!rig) entry = rig = std::make_shared<StereoRig>();
   return rig;

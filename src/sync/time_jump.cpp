@@ -16,19 +16,8 @@ bool detects_resets(Stream stream) { return stream != Stream::CAMERA_INFO && str
 }  // namespace
 
 const char* to_string(Stream stream) {
-  switch (stream) {
-    case Stream::IMU:
-      return "imu";
-    case Stream::IMAGE:
-      return "image";
-    case Stream::CAMERA_INFO:
-      return "camera_info";
-    case Stream::EXPOSURE:
-      return "exposure";
-    case Stream::CLOCK:
-      return "clock";
-  }
-  return "unknown";
+  static constexpr std::array<const char*, kStreams> kNames{"imu", "image", "camera_info", "exposure", "clock"};
+  return kNames[static_cast<std::size_t>(stream)];
 }
 
 TimeJumpDetector::Result TimeJumpDetector::update(Stream stream, TimeNs stamp_ns, std::size_t messages) {
@@ -65,18 +54,13 @@ int EpochCounter::next(TimeNs stamp_ns) {
   return epoch_;
 }
 
-int EpochCounter::reset() {
-  if (epoch_ == begun_) return begin();
+int EpochCounter::reset(ShownBy shown_by) {
+  if (shown_by == ShownBy::ITSELF || epoch_ == begun_) {
+    ++epoch_;
+    last_ns_.reset();
+  }
   begun_ = epoch_;
   newest_ns_ = last_ns_;
-  return epoch_;
-}
-
-int EpochCounter::begin() {
-  ++epoch_;
-  begun_ = epoch_;
-  last_ns_.reset();
-  newest_ns_.reset();
   return epoch_;
 }
 

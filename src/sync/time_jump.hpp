@@ -16,6 +16,9 @@ constexpr std::size_t kStreams = static_cast<std::size_t>(Stream::CLOCK) + 1;  /
 
 const char* to_string(Stream stream);
 
+/// What shows that time was reset for a stream: its own next message, or another stream.
+enum class ShownBy { ITSELF, OTHER };
+
 /// Watches the newest time of every stream. The first stream to go back reports a jump (camera_info and exposures do
 /// not: late ones are no reset); the others, whose last old messages may still arrive, then follow it without
 /// a second report. A stream that goes on for long without going back has not been reset. Which stamps count is
@@ -75,12 +78,9 @@ class EpochCounter {
   /// Epoch of the last message that has come.
   int current() const { return epoch_; }
 
-  /// Time was reset, as another stream shows. Messages of the returned epoch or later are new; without a step back
-  /// since the last reset none of those that have come is.
-  int reset();
-
-  /// Time was reset, as the next message of this very stream shows: nothing that has come is of the returned epoch.
-  int begin();
+  /// Time was reset. Messages of the returned epoch or later are new. None of those that have come is, if the stream
+  /// itself shows it, or has not stepped back since the last reset.
+  int reset(ShownBy shown_by);
 
  private:
   std::optional<TimeNs> last_ns_;

@@ -84,15 +84,8 @@ class TimestampFilter {
 
   /// The owner knows by other means that this one is the newest, whatever came before.
   void restart(const Message& message) {
-    clear();
+    *this = {};
     newest_ = message;
-  }
-  void clear() {
-    newest_.reset();
-    before_newest_.reset();
-    steps_ = 0;
-    far_.clear();
-    late_.clear();
   }
 
  private:

@@ -1,29 +1,23 @@
 // Makes the messages of a camera and an IMU.
 #include "tools/bag_messages.hpp"
 
-#include <cstdint>
 #include <stdexcept>
 
 #include <geometry_msgs/TransformStamped.h>
+#include <tf2_msgs/TFMessage.h>
 #include <Eigen/Geometry>
+
+#include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
 
 ros::Time bag_time(TimeNs t_ns, const std::string& what) {
-  // ros::Time counts unsigned 32-bit seconds, and rosbag refuses 0.
-  constexpr TimeNs kLatest = 4'294'967'295'000'000'000;
-  if (t_ns <= 0 || t_ns > kLatest) {
+  // to_ros_time clamps what ros::Time cannot hold, and rosbag refuses 0.
+  const ros::Time time = to_ros_time(t_ns);
+  if (time.isZero() || to_time_ns(time) != t_ns) {
     throw std::runtime_error(what + " at " + std::to_string(t_ns) + " ns: a bag holds times in (0, 4294967295] s");
   }
-  ros::Time time;
-  time.fromNSec(static_cast<std::uint64_t>(t_ns));
   return time;
-}
-
-ros::Duration bag_duration(TimeNs t_ns) {
-  ros::Duration duration;
-  duration.fromNSec(t_ns);
-  return duration;
 }
 
 std_msgs::Header make_header(ros::Time stamp, const std::string& frame_id) {
@@ -31,21 +25,6 @@ std_msgs::Header make_header(ros::Time stamp, const std::string& frame_id) {
   header.stamp = stamp;
   header.frame_id = frame_id;
   return header;
-}
-
-sensor_msgs::Image image_message(const std_msgs::Header& header, const cv::Mat& image, const std::string& encoding) {
-  sensor_msgs::Image message;
-  message.header = header;
-  message.height = static_cast<std::uint32_t>(image.rows);
-  message.width = static_cast<std::uint32_t>(image.cols);
-  message.encoding = encoding;
-  message.is_bigendian = 0;
-  message.step = static_cast<std::uint32_t>(image.cols * image.elemSize());
-  message.data.reserve(static_cast<std::size_t>(message.step) * message.height);
-  for (int y = 0; y < image.rows; ++y) {
-    message.data.insert(message.data.end(), image.ptr(y), image.ptr(y) + message.step);
-  }
-  return message;
 }
 
 sensor_msgs::Imu imu_message(const std_msgs::Header& header, const Eigen::Vector3d& rate_rad_s,
@@ -69,16 +48,16 @@ sensor_msgs::Imu imu_message(const std_msgs::Header& header, const Eigen::Vector
 Exposure exposure_message(const std_msgs::Header& header, TimeNs exposure_ns, TimeNs readout_ns) {
   Exposure message;
   message.header = header;
-  message.exposure_time = bag_duration(exposure_ns);
-  message.readout_time = bag_duration(readout_ns);
+  message.exposure_time.fromNSec(exposure_ns);
+  message.readout_time.fromNSec(readout_ns);
   return message;
 }
 
-tf2_msgs::TFMessage extrinsic_message(const Eigen::Matrix3d& R_cam_imu, const Eigen::Vector3d& p_imu_cam_m,
-                                      const std::string& imu_frame, const std::string& camera_frame, ros::Time stamp) {
+void write_extrinsic(rosbag::Bag& bag, ros::Time time, const Eigen::Matrix3d& R_cam_imu,
+                     const Eigen::Vector3d& p_imu_cam_m, const std::string& imu_frame,
+                     const std::string& camera_frame) {
   geometry_msgs::TransformStamped transform;
-  transform.header.stamp = stamp;
-  transform.header.frame_id = imu_frame;
+  transform.header = make_header(time, imu_frame);
   transform.child_frame_id = camera_frame;
   // tf takes child coordinates to parent coordinates.
   const Eigen::Quaterniond R_imu_cam(Eigen::Matrix3d(R_cam_imu.transpose()));
@@ -91,10 +70,6 @@ tf2_msgs::TFMessage extrinsic_message(const Eigen::Matrix3d& R_cam_imu, const Ei
   transform.transform.translation.z = p_imu_cam_m.z();
   tf2_msgs::TFMessage message;
   message.transforms.push_back(transform);
-  return message;
-}
-
-void write_tf_static(rosbag::Bag& bag, ros::Time time, const tf2_msgs::TFMessage& message) {
   auto latched = boost::make_shared<ros::M_string>();
   (*latched)["latching"] = "1";
   (*latched)["type"] = ros::message_traits::datatype<tf2_msgs::TFMessage>();

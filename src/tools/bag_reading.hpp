@@ -24,14 +24,9 @@ namespace gyro_deblur {
 /// bag, which rosbag does not report.
 class MessageError : public std::runtime_error {
  public:
-  MessageError(const rosbag::MessageInstance& instance, const std::string& problem)
-      : std::runtime_error(where(instance) + ": " + problem) {}
-
- private:
-  static std::string where(const rosbag::MessageInstance& instance) {
-    return "topic " + instance.getTopic() + ", " + instance.getDataType() + " recorded at " +
-           seconds_text(to_time_ns(instance.getTime())) + " s";
-  }
+  MessageError(const rosbag::MessageInstance& instance, const std::exception& cause)
+      : std::runtime_error("topic " + instance.getTopic() + ", " + instance.getDataType() + " recorded at " +
+                           seconds_text(to_time_ns(instance.getTime())) + " s: cannot be read: " + cause.what()) {}
 };
 
 /// The serialised message. Throws MessageError.
@@ -42,7 +37,7 @@ inline std::vector<std::uint8_t> read_bytes(const rosbag::MessageInstance& insta
     instance.write(stream);
     return bytes;
   } catch (const std::exception& error) {
-    throw MessageError(instance, std::string("cannot be read: ") + error.what());
+    throw MessageError(instance, error);
   }
 }
 
@@ -55,7 +50,7 @@ boost::shared_ptr<Message> read_message(const rosbag::MessageInstance& instance)
   try {
     deserialize_checked(bytes.data(), bytes.size(), message.get());
   } catch (const std::exception& error) {
-    throw MessageError(instance, std::string("cannot be read: ") + error.what());
+    throw MessageError(instance, error);
   }
   return message;
 }

@@ -11,7 +11,6 @@
 #include "tools/bag_file.hpp"
 #include "tools/calibration_report.hpp"
 #include "tools/calibration_verdicts.hpp"
-#include "tools/config_file.hpp"
 #include "tools/footage_calibration.hpp"
 #include "tools/output_file.hpp"
 #include "tools/timing_footage.hpp"
@@ -31,16 +30,6 @@ struct Arguments {
 };
 
 void say(const std::string& text) { std::cerr << "calibrate: warning: " << text << "\n"; }
-
-/// Why nothing is to be written; empty: nothing speaks against it.
-std::string refusal_of(const FootageCalibration& found) {
-  if (!found.timing) return found.timing_error;
-  std::string text;
-  for (const TimingObjection& objection : found.objections) {
-    if (objection.speaks_against_all) text += (text.empty() ? "" : "; ") + objection.text;
-  }
-  return text;
-}
 
 void run(const Arguments& arguments) {
   const InputBag input(arguments.bag);
@@ -69,7 +58,7 @@ void run(const Arguments& arguments) {
   print_summary(found, verdicts);
   for (const std::string& warning : found.warnings) say(warning);
   write_json(arguments.common.json, report_of(found, verdicts, arguments.bag, topics), 1);
-  const std::string refusal = refusal_of(found);
+  const std::string refusal = found.refusal();
   if (!found.timing) throw std::runtime_error(arguments.bag + ": nothing is written: " + refusal);
   if (!refusal.empty() && !arguments.force) {
     throw std::runtime_error(arguments.bag + ": nothing is written (--force writes all the same): " + refusal);

@@ -125,10 +125,8 @@ void report_timing(const FootageCalibration& found, nlohmann::json* report) {
   (*report)["time_offset_s"] = to_json(e.time_offset_s);
   (*report)["readout_time_s"] = to_json(found.sensor_readout_s);
   (*report)["gyro_bias_rad_s"] = {to_json(e.bias_rad_s[0]), to_json(e.bias_rad_s[1]), to_json(e.bias_rad_s[2])};
-  (*report)["R_cam_imu"] = nlohmann::json::array();
-  for (int row = 0; row < 3; ++row) {
-    for (int col = 0; col < 3; ++col) (*report)["R_cam_imu"].push_back(e.R_cam_imu(row, col));
-  }
+  const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> by_rows = e.R_cam_imu;
+  (*report)["R_cam_imu"] = std::vector<double>(by_rows.data(), by_rows.data() + by_rows.size());
   (*report)["rotation_from"] = found.rotation_from;
   (*report)["rotation_stddev_deg"] = to_json(Eigen::Vector3d(e.rotation_stddev_rad * kDegPerRad));
   (*report)["correlation"] = e.correlation;

@@ -2,8 +2,8 @@
 #include "tools/calibration_verdicts.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <optional>
+#include <utility>
 
 #include "base/format.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -23,60 +23,36 @@ std::string reason_against(const FootageCalibration& found, const std::string& k
   return {};
 }
 
-std::string by_footage(const FootageCalibration& found) {
-  return format(", by %zu points in %zu pairs of frames", found.timing->points, found.timing->pairs);
-}
+// These need found.timing, and hold where there is no reason against the value.
 
-Verdict of_time_offset(const FootageCalibration& found) {
-  Verdict verdict{"time_offset", {}, VerdictState::OPEN, {}};
-  if (found.timing) {
-    const Estimate& offset = found.timing->time_offset_s;
-    verdict.value = format("%+.6f +- %.6f s", offset.value, offset.stddev);
-  }
-  verdict.text = reason_against(found, verdict.key, found.coarse.time_offset_s.missing);
-  if (!verdict.text.empty()) return verdict;
-  verdict.state = VerdictState::KNOWN;
-  verdict.text = format("known to %.2f ms", 1e3 * found.timing->time_offset_s.stddev) + by_footage(found);
+Verdict of_time_offset(const char* key, const FootageCalibration& found) {
+  const Estimate& offset = found.timing->time_offset_s;
+  std::string text = format("known to %.2f ms, by %zu points in %zu pairs of frames", 1e3 * offset.stddev,
+                            found.timing->points, found.timing->pairs);
   if (found.offset_has_exposure) {
-    verdict.text += ". Half of the exposure time, which is not known, is in it: it holds with stamp_phase: middle";
+    text += ". Half of the exposure time, which is not known, is in it: it holds with stamp_phase: middle";
   }
-  return verdict;
+  return {key, format("%+.6f +- %.6f s", offset.value, offset.stddev), VerdictState::KNOWN, text};
 }
 
-Verdict of_readout(const FootageCalibration& found) {
-  Verdict verdict{"readout_time", {}, VerdictState::OPEN, {}};
-  if (found.timing) {
-    verdict.value = format("%+.6f +- %.6f s", found.sensor_readout_s.value, found.sensor_readout_s.stddev);
-  }
-  verdict.text = reason_against(found, verdict.key, found.coarse.readout_s.missing);
-  if (!verdict.text.empty()) return verdict;
-  const double stddev_s = found.sensor_readout_s.stddev;
-  if (stddev_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
-  verdict.state = VerdictState::KNOWN;
-  verdict.text = format("known to %.2f ms", 1e3 * stddev_s);
-  if (is_global_shutter(found.sensor_readout_s)) {
-    verdict.text += ": a global shutter";
-  } else {
-    verdict.text += found.sensor_readout_s.value > 0 ? ": a rolling shutter" : ": a rolling shutter, last row first";
-  }
-  return verdict;
+Verdict of_readout(const char* key, const FootageCalibration& found) {
+  const Estimate& readout_s = found.sensor_readout_s;
+  const std::string value = format("%+.6f +- %.6f s", readout_s.value, readout_s.stddev);
+  if (readout_s.stddev == 0) return {key, value, VerdictState::GIVEN, "as given"};
+  const char* shutter = is_global_shutter(readout_s) ? "a global shutter"
+                        : readout_s.value > 0        ? "a rolling shutter"
+                                                     : "a rolling shutter, last row first";
+  return {key, value, VerdictState::KNOWN, format("known to %.2f ms: %s", 1e3 * readout_s.stddev, shutter)};
 }
 
-Verdict of_bias(const FootageCalibration& found) {
-  Verdict verdict{"gyro_bias", {}, VerdictState::OPEN, {}};
-  double stddev_rad_s = 0;
-  if (found.timing) {
-    const Estimate* bias = found.timing->bias_rad_s;
-    verdict.value = format("[%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s", bias[0].value, bias[1].value,
-                           bias[2].value, bias[0].stddev, bias[1].stddev, bias[2].stddev);
-    stddev_rad_s = std::max({bias[0].stddev, bias[1].stddev, bias[2].stddev});
-  }
-  verdict.text = reason_against(found, verdict.key, found.coarse.bias_rad_s.missing);
-  if (!verdict.text.empty()) return verdict;
-  if (stddev_rad_s == 0) return {verdict.key, verdict.value, VerdictState::GIVEN, "as given"};
-  verdict.state = VerdictState::KNOWN;
-  verdict.text = format("known to %.5f rad/s. It changes with the temperature", stddev_rad_s);
-  return verdict;
+Verdict of_bias(const char* key, const FootageCalibration& found) {
+  const Estimate* bias = found.timing->bias_rad_s;
+  const std::string value = format("[%+.5f, %+.5f, %+.5f] +- [%.5f, %.5f, %.5f] rad/s", bias[0].value, bias[1].value,
+                                   bias[2].value, bias[0].stddev, bias[1].stddev, bias[2].stddev);
+  const double stddev_rad_s = std::max({bias[0].stddev, bias[1].stddev, bias[2].stddev});
+  if (stddev_rad_s == 0) return {key, value, VerdictState::GIVEN, "as given"};
+  return {key, value, VerdictState::KNOWN,
+          format("known to %.5f rad/s. It changes with the temperature", stddev_rad_s)};
 }
 
 std::string rotation_text(const Eigen::Matrix3d& R) {
@@ -85,29 +61,19 @@ std::string rotation_text(const Eigen::Matrix3d& R) {
   return text + "]";
 }
 
-Verdict of_rotation(const FootageCalibration& found) {
-  Verdict verdict{"R_cam_imu", {}, VerdictState::OPEN, {}};
-  const bool estimated = found.rotation_from == "estimated";
-  if (found.timing) verdict.value = rotation_text(found.timing->R_cam_imu);
-  verdict.text = reason_against(found, verdict.key, found.coarse.R_cam_imu.missing);
-  if (!verdict.text.empty()) return verdict;
-  verdict.state = estimated ? VerdictState::KNOWN : VerdictState::GIVEN;
-  if (estimated) {
-    const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
-    verdict.text = format("known to %.3f, %.3f and %.3f degrees about the camera's axes x, y and z", stddev_deg.x(),
-                          stddev_deg.y(), stddev_deg.z());
-  } else {
-    verdict.text = found.rotation_from + ", and the images agree";
+Verdict of_rotation(const char* key, const FootageCalibration& found) {
+  const std::string value = rotation_text(found.timing->R_cam_imu);
+  if (found.rotation_from != "estimated") {
+    return {key, value, VerdictState::GIVEN, found.rotation_from + ", and the images agree"};
   }
-  return verdict;
+  const Eigen::Vector3d stddev_deg = found.timing->rotation_stddev_rad * kDegPerRad;
+  return {key, value, VerdictState::KNOWN,
+          format("known to %.3f, %.3f and %.3f degrees about the camera's axes x, y and z", stddev_deg.x(),
+                 stddev_deg.y(), stddev_deg.z())};
 }
 
-/// Why the images do not determine the exposure.
-struct ExposureGap {
-  std::string reason, remedy;
-};
-
-ExposureGap exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
+/// Why the images do not determine the exposure, and what to do.
+std::pair<std::string, std::string> exposure_gap(const RecordedExposure& exposure, std::size_t frames) {
   const std::string few = format("%zu of %zu images determine it, 3 are needed: ", exposure.estimates, frames);
   switch (exposure.missing) {
     case ExposureNeed::TEXTURE:
@@ -140,42 +106,41 @@ std::string agreement_text(const std::optional<ExposureEstimate>& over_given, co
 
 Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
   const RecordedExposure& exposure = found.exposure;
-  const ExposureGap gap = exposure_gap(exposure, frames);
+  const auto [why_not, remedy] = exposure_gap(exposure, frames);
   Verdict verdict{"exposure_time", {}, VerdictState::OPEN, {}};
-  const auto seconds = [](TimeNs time_ns) { return to_seconds(time_ns); };
   switch (found.exposure_from) {
     case ExposureSourceOfFootage::MESSAGES:
       verdict.state = VerdictState::GIVEN;
       verdict.value = "of each image";
       verdict.text =
-          agreement_text(exposure.over_given, "the exposure message", "check exposure_source and its unit", gap.reason);
+          agreement_text(exposure.over_given, "the exposure message", "check exposure_source and its unit", why_not);
       return verdict;
     case ExposureSourceOfFootage::PARAMETER: {
       verdict.state = VerdictState::GIVEN;
-      verdict.value = format("%.6f s", seconds(found.shutter.exposure_ns));
+      verdict.value = format("%.6f s", to_seconds(found.shutter.exposure_ns));
       std::optional<ExposureEstimate> over_given;
       if (exposure.is_known) {
-        over_given = {seconds(exposure.exposure_ns) / seconds(found.shutter.exposure_ns), exposure.log_stddev};
+        over_given = {to_seconds(exposure.exposure_ns) / to_seconds(found.shutter.exposure_ns), exposure.log_stddev};
       }
       verdict.text =
-          agreement_text(over_given, "exposure_time", "it is kept (on_exposure_conflict: configured)", gap.reason);
+          agreement_text(over_given, "exposure_time", "it is kept (on_exposure_conflict: configured)", why_not);
       return verdict;
     }
     case ExposureSourceOfFootage::IMAGES:
       break;
     case ExposureSourceOfFootage::UNKNOWN:
-      verdict.text = gap.reason + ". " + gap.remedy;
+      verdict.text = why_not + ". " + remedy;
       return verdict;
   }
   verdict.state = VerdictState::KNOWN;
   const std::string by = format("by the blur of %zu of %zu images", exposure.estimates, frames);
   if (exposure.varies) {
-    verdict.value = format("%.6f to %.6f s", seconds(exposure.low_ns), seconds(exposure.high_ns));
+    verdict.value = format("%.6f to %.6f s", to_seconds(exposure.low_ns), to_seconds(exposure.high_ns));
     verdict.text =
         by + ". It changes from image to image: leave exposure_time empty, and it is estimated while running";
   } else {
-    verdict.value =
-        format("%.6f +- %.6f s", seconds(exposure.exposure_ns), exposure.log_stddev * seconds(exposure.exposure_ns));
+    verdict.value = format("%.6f +- %.6f s", to_seconds(exposure.exposure_ns),
+                           exposure.log_stddev * to_seconds(exposure.exposure_ns));
     verdict.text = format("known to %.1f %%, ", 100 * exposure.log_stddev) + by;
   }
   return verdict;
@@ -184,19 +149,20 @@ Verdict of_exposure(const FootageCalibration& found, std::size_t frames) {
 }  // namespace
 
 const char* to_string(VerdictState state) {
-  switch (state) {
-    case VerdictState::KNOWN:
-      return "known";
-    case VerdictState::GIVEN:
-      return "given";
-    case VerdictState::OPEN:
-      break;
-  }
-  return "not determined";
+  return state == VerdictState::KNOWN ? "known" : state == VerdictState::GIVEN ? "given" : "not determined";
 }
 
 std::vector<Verdict> verdicts_of(const FootageCalibration& found, std::size_t frames) {
-  return {of_time_offset(found), of_readout(found), of_exposure(found, frames), of_bias(found), of_rotation(found)};
+  const LearnedCalibration& coarse = found.coarse;
+  const auto of_timing = [&found](const char* key, const std::string& missing, const auto& of) {
+    Verdict verdict = found.timing ? of(key, found) : Verdict{key, {}, VerdictState::OPEN, {}};
+    const std::string reason = reason_against(found, key, missing);
+    return reason.empty() ? verdict : Verdict{key, verdict.value, VerdictState::OPEN, reason};
+  };
+  return {of_timing("time_offset", coarse.time_offset_s.missing, of_time_offset),
+          of_timing("readout_time", coarse.readout_s.missing, of_readout), of_exposure(found, frames),
+          of_timing("gyro_bias", coarse.bias_rad_s.missing, of_bias),
+          of_timing("R_cam_imu", coarse.R_cam_imu.missing, of_rotation)};
 }
 
 }  // namespace gyro_deblur

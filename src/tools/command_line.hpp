@@ -59,8 +59,7 @@ class CommandLine {
       : description_(std::move(description)), name_(std::move(name)) {}
 
   /// @param name  "--name", or "--name,--former-name" where one has several; of a positional argument: without dashes
-  /// @param variable  is written by parse() where the argument is given: std::string, a number, std::optional or
-  ///     std::vector of these, as instantiated in command_line.cpp; has to outlive this object
+  /// @param variable  parse() writes a given value to it; has to outlive this object; its types: see command_line.cpp
   /// @return valid as long as this object
   template <typename T>
   Option& add_option(const std::string& name, T& variable, std::string help = "");

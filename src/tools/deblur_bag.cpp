@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstddef>
+#include <deque>
 #include <filesystem>
 #include <iostream>
 #include <limits>
 #include <optional>
-#include <set>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -18,18 +19,19 @@
 #include <Eigen/Core>
 #include <nlohmann/json.hpp>
 
+#include "blur/frame_quality.hpp"
 #include "gyro_deblur/config.hpp"
+#include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
 #include "mask_file/mask_file.hpp"
 #include "ros/conversions.hpp"
+#include "ros/processing.hpp"
 #include "ros/processor.hpp"
 #include "tools/bag_file.hpp"
 #include "tools/bag_reading.hpp"
-#include "tools/config_file.hpp"
 #include "tools/deblur_feed.hpp"
-#include "tools/deblur_output.hpp"
 #include "tools/deblur_topics.hpp"
-#include "tools/frame_report.hpp"
+#include "tools/output_file.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
 
@@ -51,7 +53,6 @@ struct Arguments {
 /// What a run came to.
 struct Outcome {
   ProcessorStatistics statistics;
-  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
   double processing_ms = 0, bag_s = 0, wall_s = 0;
 };
 
@@ -73,6 +74,13 @@ Eigen::Vector3d bias_of_first(const rosbag::Bag& bag, const std::string& imu_top
   return estimate->bias_rad_s;
 }
 
+/// The part of a bag whose images are deblurred, [begin_ns, end_ns) of recording time. Everything else is read from
+/// lead_ns earlier, and until the last image is processed, so that slices together give what the whole bag gives.
+struct Slice {
+  TimeNs begin_ns, end_ns, lead_ns;
+  ros::Time read_from() const { return std::max(to_ros_time(begin_ns - lead_ns), ros::TIME_MIN); }
+};
+
 Slice slice_of(const rosbag::Bag& bag, const Arguments& arguments, const Config& config) {
   rosbag::View all(bag);
   if (arguments.end_s && *arguments.end_s <= arguments.start_s) {
@@ -86,11 +94,13 @@ Slice slice_of(const rosbag::Bag& bag, const Arguments& arguments, const Config&
 }
 
 /// With --keep-all-topics the input's topics and those that are written share a bag.
-void require_free_topics(const InputBag& input, const std::set<std::string>& written) {
-  for (const auto& [topic, type] : input.topics()) {
-    if (written.count(topic) == 0) continue;
-    throw std::runtime_error(input.path() + ": has a topic " + topic +
-                             " already; choose another --output-namespace, or leave out --keep-all-topics");
+void require_free_topics(const InputBag& input, const std::string& output_namespace) {
+  for (const auto& entry : input.topics()) {
+    for_each_output([&](const char* name, auto, auto) {
+      if (entry.first != output_namespace + "/" + name) return;
+      throw std::runtime_error(input.path() + ": has a topic " + entry.first +
+                               " already; choose another --output-namespace, or leave out --keep-all-topics");
+    });
   }
 }
 
@@ -113,6 +123,46 @@ double length_s(const rosbag::Bag& bag, const Slice& slice) {
   return to_seconds(std::min(to_time_ns(read.getEndTime()), slice.end_ns) - to_time_ns(read.getBeginTime()));
 }
 
+/// Axial angle as degrees in (-90, 90], where small angles stay small.
+double readable_degrees(double angle_rad) {
+  const double degrees = angle_rad * 180 / M_PI;
+  return degrees > 90 ? degrees - 180 : degrees;
+}
+
+void report_field(const FrameBlur& field, nlohmann::json* frame) {
+  const BlockBlur& center = field.blocks[static_cast<std::size_t>(
+      field.grid.index_at((field.grid.width_px() - 1) / 2.0, (field.grid.height_px() - 1) / 2.0))];
+  (*frame)["median_extent_px"] = median_extent_px(
+      field, [](BlockStatus status) { return status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED; });
+  (*frame)["center_extent_px"] = center.extent_px;
+  (*frame)["center_angle_deg"] = readable_degrees(center.angle_rad);
+  (*frame)["exposure_s"] = to_seconds(field.exposure_ns);
+  (*frame)["readout_s"] = to_seconds(field.readout_ns);
+  for (const BlockStatus status : kBlockStatuses) (*frame)["blocks"][to_string(status)] = field.count(status);
+}
+
+nlohmann::json report_of(const FrameOutput& output) {
+  nlohmann::json frame;
+  frame["stamp_ns"] = to_time_ns(output.input->header.stamp);
+  frame["reason"] = to_string(output.reason);
+  if (!output.reason_text.empty()) frame["reason_text"] = output.reason_text;
+  frame["dropped"] = output.dropped;
+  frame["identical"] = output.image == output.input;
+  frame["keypoints"] = output.keypoints ? output.keypoints->keypoints.size() : 0;
+  if (output.field) report_field(*output.field, &frame);
+  frame["milliseconds"] = {{"optical_flow", output.times.flow_ms},
+                           {"blur_field", output.times.blur_field_ms},
+                           {"validation", output.times.validation_ms},
+                           {"noise", output.times.noise_ms},
+                           {"deconvolution", output.times.deconvolution_ms},
+                           {"keypoints", output.times.keypoints_ms},
+                           {"global_shutter", output.times.global_shutter_ms},
+                           {"tracks", output.tracks_ms},
+                           {"messages", output.messages_ms},
+                           {"total", output.total_ms}};
+  return frame;
+}
+
 /// Plays the input through the processor into the output.
 Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& config, const Arguments& arguments,
                rosbag::Bag& output, FrameReport& report) {
@@ -131,12 +181,18 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   DeblurFeed feed(input.bag(), topics, config, request, slice.read_from(), log_clearing(progress));
   if (arguments.start_s > 0) feed.catch_up();
 
-  FrameWriter writer(output, topics.output_namespace, report);
-  const Processor::Sink sink = [&writer](FrameOutput&& frame) {
-    writer.write(frame);
+  std::deque<ros::Time> record_times;  // of the images of frames that have not come out yet
+  double processing_ms = 0;
+  const Processor::Sink sink = [&](FrameOutput&& frame) {
+    for_each_output([&](const char* name, auto, auto message) {
+      if (frame.*message) output.write(topics.output_namespace + "/" + name, record_times.front(), *(frame.*message));
+    });
+    record_times.pop_front();
+    processing_ms += frame.total_ms;
+    if (report.wanted()) report.add(report_of(frame));
     return true;
   };
-  const auto expect = [&writer](ros::Time recorded) { writer.expect_frame(recorded); };
+  const auto expect = [&record_times](ros::Time recorded) { record_times.push_back(recorded); };
   const auto start = std::chrono::steady_clock::now();
   std::size_t done = 0;
   for (const rosbag::MessageInstance& instance : view) {
@@ -150,8 +206,7 @@ Outcome deblur(const InputBag& input, const DeblurTopics& topics, const Config& 
   feed.finish(expect, sink);
   output.close();
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  const Processor& processor = feed.processor();
-  return {processor.statistics(), processor.bias_rad_s(), writer.processing_ms(), length_s(input.bag(), slice), wall_s};
+  return {feed.processor().statistics(), processing_ms, length_s(input.bag(), slice), wall_s};
 }
 
 /// What holds for all frames.
@@ -184,7 +239,7 @@ nlohmann::json report_of(const Arguments& arguments, const DeblurTopics& topics,
   report["calibration"] = nlohmann::json::object();
   for (const CalibrationRow& row : statistics.calibration) report["calibration"][row.key] = row.text;
   report["time_jumps"] = statistics.time_jumps;
-  report["gyro_bias_rad_s"] = {outcome.bias_rad_s.x(), outcome.bias_rad_s.y(), outcome.bias_rad_s.z()};
+  report["gyro_bias_rad_s"] = {statistics.bias_rad_s.x(), statistics.bias_rad_s.y(), statistics.bias_rad_s.z()};
   report["engine"] = statistics.engine;
   report["bag_s"] = outcome.bag_s;
   report["wall_s"] = outcome.wall_s;
@@ -227,7 +282,7 @@ void run(const Arguments& arguments) {
   NamedTopics named = arguments.topics;
   named.mask_by_file = !arguments.mask.empty();
   const DeblurTopics topics = choose_topics(input, named, config);
-  if (arguments.keep_all_topics) require_free_topics(input, output_topics(topics.output_namespace));
+  if (arguments.keep_all_topics) require_free_topics(input, topics.output_namespace);
   FrameReport report(arguments.common.json);
   Outcome outcome;
   try {

@@ -2,6 +2,7 @@
 #include "tools/deblur_feed.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <exception>
@@ -20,7 +21,6 @@
 #include "tools/bag_reading.hpp"
 
 namespace gyro_deblur {
-
 namespace {
 
 /// Where it is published once, or seldom, the last one holds. Null: there is none.
@@ -33,9 +33,23 @@ boost::shared_ptr<const Message> last_before(const rosbag::Bag& bag, const std::
   return last ? read_message<Message>(*last) : nullptr;
 }
 
-}  // namespace
+/// @param stamp  gives the stamp of a message, see MessageStream::Message
+/// @param take   is called with the pointer to a message that is delivered
+template <typename Message, typename Stamp, typename Take>
+MessageStream::Read reader_of(Stamp stamp, Take take) {
+  return [stamp, take](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
+    const boost::shared_ptr<const Message> content = read_message<Message>(instance);
+    if (!content) return false;
+    message->stamp_ns = stamp(*content);
+    message->deliver = [take, content] { take(content); };
+    return true;
+  };
+}
 
-ros::Time Slice::read_from() const { return std::max(to_ros_time(begin_ns - lead_ns), ros::TIME_MIN); }
+constexpr auto kHeaderStamp = [](const auto& message) { return to_time_ns(message.header.stamp); };
+constexpr auto kNoStamp = [](const auto&) { return std::nullopt; };
+
+}  // namespace
 
 TimeNs lead_ns(const Config& config) {
   // Clocks that are hours apart record their messages at the same time all the same: what an image needs is among the
@@ -49,17 +63,24 @@ DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const
     : bag_(bag),
       topics_(topics),
       from_(from),
-      time_offset_ns_(config.gyro.time_offset_ns),
-      driver_messages_(topics.reads_driver_messages),
       log_(std::move(log)),
       adapter_(config.exposure_source),
       processor_(environment(request)),
-      imu_(bag, topics.imu, from, config.time_jump_ns, imu_reader()),
-      camera_info_(bag, topics.camera_info, from, config.time_jump_ns, camera_info_reader()),
+      imu_(bag, topics.imu, from, config.time_jump_ns,
+           reader_of<sensor_msgs::Imu>(
+               [offset_ns = config.gyro.time_offset_ns](const auto& imu) { return kHeaderStamp(imu) - offset_ns; },
+               [this](const auto& imu) { processor_.add_imu(*imu); })),
+      camera_info_(bag, topics.camera_info, from, config.time_jump_ns,
+                   reader_of<sensor_msgs::CameraInfo>(kHeaderStamp,
+                                                      [this](const auto& info) { processor_.add_camera_info(info); })),
       exposure_(bag, topics.exposure, from, config.time_jump_ns,
-                driver_messages_ ? driver_reader() : exposure_reader()),
+                topics.reads_driver_messages
+                    ? driver_reader()
+                    : reader_of<Exposure>(kHeaderStamp,
+                                          [this](const auto& exposure) { processor_.add_exposure(*exposure); })),
       transforms_(bag, "/tf", from, config.time_jump_ns, transform_reader()),
-      mask_(bag, topics.mask, from, config.time_jump_ns, mask_reader()) {
+      mask_(bag, topics.mask, from, config.time_jump_ns,
+            reader_of<sensor_msgs::Image>(kNoStamp, [this](const auto& mask) { processor_.add_mask(*mask); })) {
   processor_.set_config(config);
   // Latched transforms of the whole bag: a node would have them from the start.
   take_transforms("/tf_static", ros::TIME_MAX);
@@ -92,7 +113,7 @@ void DeblurFeed::catch_up() {
     processor_.add_camera_info(info);
   }
   if (const auto mask = last_before<sensor_msgs::Image>(bag_, topics_.mask, from_)) processor_.add_mask(*mask);
-  if (!driver_messages_ || topics_.exposure.empty()) return;
+  if (!topics_.reads_driver_messages || topics_.exposure.empty()) return;
   // A setting is published when it changes, which may be long before the slice.
   rosbag::View before(bag_, rosbag::TopicQuery(topics_.exposure), ros::TIME_MIN, from_);
   for (const rosbag::MessageInstance& instance : before) {
@@ -106,36 +127,6 @@ void DeblurFeed::catch_up() {
       continue;  // said by the slice that it belongs to
     }
   }
-}
-
-MessageStream::Read DeblurFeed::imu_reader() {
-  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
-    const auto imu = read_message<sensor_msgs::Imu>(instance);
-    if (!imu) return false;
-    message->stamp_ns = to_time_ns(imu->header.stamp) - time_offset_ns_;
-    message->deliver = [this, imu] { processor_.add_imu(*imu); };
-    return true;
-  };
-}
-
-MessageStream::Read DeblurFeed::camera_info_reader() {
-  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
-    const auto info = read_message<sensor_msgs::CameraInfo>(instance);
-    if (!info) return false;
-    message->stamp_ns = to_time_ns(info->header.stamp);
-    message->deliver = [this, info] { processor_.add_camera_info(info); };
-    return true;
-  };
-}
-
-MessageStream::Read DeblurFeed::exposure_reader() {
-  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
-    const auto exposure = read_message<Exposure>(instance);
-    if (!exposure) return false;
-    message->stamp_ns = to_time_ns(exposure->header.stamp);
-    message->deliver = [this, exposure] { processor_.add_exposure(*exposure); };
-    return true;
-  };
 }
 
 MessageStream::Read DeblurFeed::driver_reader() {
@@ -159,15 +150,6 @@ MessageStream::Read DeblurFeed::transform_reader() {
     if (!transforms || transforms->transforms.empty()) return false;
     message->stamp_ns = to_time_ns(transforms->transforms.front().header.stamp);
     message->deliver = [this, transforms] { add_transforms(*transforms, &tf_buffer_); };
-    return true;
-  };
-}
-
-MessageStream::Read DeblurFeed::mask_reader() {
-  return [this](const rosbag::MessageInstance& instance, MessageStream::Message* message) {
-    const auto mask = read_message<sensor_msgs::Image>(instance);
-    if (!mask) return false;
-    message->deliver = [this, mask] { processor_.add_mask(*mask); };
     return true;
   };
 }
@@ -214,8 +196,11 @@ void DeblurFeed::pass_front(const Expect& expect, const Processor::Sink& sink) {
   }
   expect(image.recorded);
   processor_.advance(sink);
+  // In the order of Awaited. A bag has no stereo partner.
+  const std::array<MessageStream*, 6> streams{nullptr, &camera_info_, &exposure_, &imu_, &transforms_, nullptr};
+  static_assert(static_cast<std::size_t>(Awaited::STEREO_PARTNER) + 1 == streams.size());
   while (processor_.waiting() > 0) {
-    MessageStream* const stream = awaited_stream();
+    MessageStream* const stream = streams.at(static_cast<std::size_t>(processor_.awaited()));
     const bool more = stream != nullptr && stream->deliver_ahead(image.stamp_ns(), until);
     if (!more) {
       // Without more of what it waits for, the frame makes do with what is there: with all that the other streams have.
@@ -225,23 +210,6 @@ void DeblurFeed::pass_front(const Expect& expect, const Processor::Sink& sink) {
     }
     more ? processor_.advance(sink) : processor_.finish(sink);
   }
-}
-
-MessageStream* DeblurFeed::awaited_stream() {
-  switch (processor_.awaited()) {
-    case Awaited::NOTHING:
-    case Awaited::STEREO_PARTNER:  // there is none in a bag
-      return nullptr;
-    case Awaited::CAMERA_INFO:
-      return &camera_info_;
-    case Awaited::EXPOSURE:
-      return &exposure_;
-    case Awaited::IMU:
-      return &imu_;
-    case Awaited::TRANSFORM:
-      return &transforms_;
-  }
-  return nullptr;
 }
 
 void DeblurFeed::deliver_due(TimeNs until_ns) {

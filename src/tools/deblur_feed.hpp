@@ -20,16 +20,7 @@
 
 namespace gyro_deblur {
 
-/// The part of a bag whose images are deblurred, [begin_ns, end_ns) of recording time. Everything else is read from
-/// lead_ns earlier, and until the last image is processed, so that slices together give what the whole bag gives.
-struct Slice {
-  TimeNs begin_ns, end_ns, lead_ns;
-  bool holds(TimeNs t_ns) const { return t_ns >= begin_ns && t_ns < end_ns; }
-  ros::Time read_from() const;
-};
-
-/// How long before an image came there may be messages that it needs: its gyroscope samples, and messages that overtook
-/// it.
+/// How long before an image the messages that it needs may come: its gyroscope samples, and others that overtook it.
 TimeNs lead_ns(const Config& config);
 
 /// A processor whose clock, transforms and messages are those of a bag. An image is released when the stamps of what it
@@ -59,15 +50,9 @@ class DeblurFeed {
  private:
   Processor::Environment environment(const FrameRequest& request);
   void take_transforms(const std::string& topic, ros::Time until);
-  MessageStream::Read imu_reader();
-  MessageStream::Read camera_info_reader();
-  MessageStream::Read exposure_reader();
   /// As in the nodelet: a message without an exposure time costs its frame, not the run.
   MessageStream::Read driver_reader();
   MessageStream::Read transform_reader();
-  MessageStream::Read mask_reader();
-  /// Stream of the message that the foremost frame waits for; null when it waits for nothing.
-  MessageStream* awaited_stream();
   /// The foremost image goes in, with what belongs to it, and out again.
   void pass_front(const Expect& expect, const Processor::Sink& sink);
   /// Up to which stamps messages are read for the foremost image.
@@ -86,8 +71,6 @@ class DeblurFeed {
   const rosbag::Bag& bag_;
   const DeblurTopics topics_;
   const ros::Time from_;
-  const TimeNs time_offset_ns_;
-  const bool driver_messages_;
   const Log log_;
   tf2::BufferCore tf_buffer_;
   TimeNs now_ns_ = 0;

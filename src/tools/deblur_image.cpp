@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -15,9 +16,9 @@
 #include <opencv2/core/utils/logger.hpp>
 #include <opencv2/imgcodecs.hpp>
 
-#include "base/median.hpp"
 #include "base/require_range.hpp"
 #include "blur/blur_validation.hpp"
+#include "blur/frame_quality.hpp"
 #include "blur/image_noise.hpp"
 #include "engine/engine.hpp"
 #include "gyro_deblur/blur_field.hpp"
@@ -109,11 +110,10 @@ cv::Mat read_csv(const std::string& path) {
   std::string line;
   for (int number = 1; std::getline(file, line); ++number) {
     std::replace_if(
-        line.begin(), line.end(), [](char c) { return c == ',' || c == ';' || c == '\t' || c == '\r'; }, ' ');
+        line.begin(), line.end(), [](char c) { return c == ',' || c == ';'; }, ' ');
+    std::istringstream cells(line);
     std::vector<double> row;
-    for (std::size_t at = line.find_first_not_of(' '); at != std::string::npos; at = line.find_first_not_of(' ', at)) {
-      const std::size_t end = std::min(line.find(' ', at), line.size());
-      const std::string cell = line.substr(at, end - at);
+    for (std::string cell; cells >> cell;) {
       std::size_t parsed = 0;
       try {
         row.push_back(std::stod(cell, &parsed));
@@ -122,7 +122,6 @@ cv::Mat read_csv(const std::string& path) {
       if (parsed != cell.size()) {
         throw std::runtime_error(path + ", line " + std::to_string(number) + ": \"" + cell + "\" is not a number");
       }
-      at = end;
     }
     if (row.empty()) continue;
     if (!matrix.empty() && static_cast<int>(row.size()) != matrix.cols) {
@@ -150,14 +149,6 @@ cv::Mat read_displacement(const std::string& path, double offset) {
     image.convertTo(matrix, CV_64F);
   }
   return matrix - offset;
-}
-
-double median_extent_px(const FrameBlur& field) {
-  std::vector<float> extents;
-  for (const BlockBlur& block : field.blocks) {
-    if (block.status != BlockStatus::NO_GYRO && block.status != BlockStatus::MASKED) extents.push_back(block.extent_px);
-  }
-  return median(extents);
 }
 
 /// The blur that the arguments describe.
@@ -210,9 +201,10 @@ void run(const Arguments& arguments) {
   if (!arguments.overlay.empty()) write_image(arguments.overlay, draw_overlay(luminance, field));
 
   nlohmann::json counts;
-  for (const BlockStatus status : kBlockStatuses) {
-    counts[to_string(status)] = field.count(status);
-  }
+  for (const BlockStatus status : kBlockStatuses) counts[to_string(status)] = field.count(status);
+  const auto is_known = [](BlockStatus status) {
+    return status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED;
+  };
   write_json(arguments.common.json, {{"input", arguments.input},
                                      {"output", arguments.output},
                                      {"width", image.cols},
@@ -220,7 +212,7 @@ void run(const Arguments& arguments) {
                                      {"engine", engine->name()},
                                      {"noise_to_signal_ratio", arguments.filter.noise_to_signal_ratio},
                                      {"blocks", counts},
-                                     {"median_extent_px", median_extent_px(field)},
+                                     {"median_extent_px", median_extent_px(field, is_known)},
                                      {"deconvolution_ms", deconvolution_ms}});
 
   std::cout << arguments.output << ": " << field.count(BlockStatus::DEBLURRED) << " of " << field.blocks.size()

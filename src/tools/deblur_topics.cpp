@@ -1,4 +1,4 @@
-// Finds the input topics of deblur_bag and names its outputs.
+// Finds the input topics of deblur_bag.
 #include "tools/deblur_topics.hpp"
 
 #include <stdexcept>
@@ -9,7 +9,6 @@
 
 #include "ros/exposure_adapter.hpp"
 #include "ros/messages.hpp"
-#include "ros/outputs.hpp"
 #include "sync/missing_inputs.hpp"
 
 namespace gyro_deblur {
@@ -17,12 +16,8 @@ namespace {
 
 void choose_exposure(const InputBag& input, const NamedTopics& named, const Config& config, const std::string& home,
                      DeblurTopics* chosen) {
-  const auto type_of = [&input](const std::string& topic) {
-    const auto found = input.topics().find(topic);
-    return found == input.topics().end() ? std::string() : found->second;
-  };
   const ExposureSource::Kind kind = config.exposure_source.kind;
-  const std::string own_type = ros::message_traits::datatype<Exposure>(), named_type = type_of(named.exposure);
+  const std::string own_type = ros::message_traits::datatype<Exposure>(), named_type = input.type_of(named.exposure);
   const bool takes_own = kind == ExposureSource::Kind::MESSAGE ||
                          (kind == ExposureSource::Kind::AUTO && (named_type.empty() || named_type == own_type));
   if (!takes_own) {
@@ -37,41 +32,30 @@ void choose_exposure(const InputBag& input, const NamedTopics& named, const Conf
   }
   chosen->exposure = input.choose_topic<Exposure>("exposure", named.exposure, home + "/exposure", false);
   const std::string metadata = home + "/metadata";
-  if (kind != ExposureSource::Kind::AUTO || !chosen->exposure.empty() || type_of(metadata) != kRealsenseMetadata)
+  if (kind != ExposureSource::Kind::AUTO || !chosen->exposure.empty() || input.type_of(metadata) != kRealsenseMetadata)
     return;
   chosen->exposure = metadata;
   chosen->reads_driver_messages = true;
 }
 
-DeblurTopics choose(const InputBag& input, const NamedTopics& named, const Config& config) {
-  DeblurTopics chosen;
-  chosen.image = choose_images(input, named.images);
-  const std::string name_space = chosen.image.name_space();
-  const std::string home = named.images.home(name_space);
-  const bool info_required = (!config.calibration || !config.calibration->camera) && !goes_without_imu(config);
-  chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
-                                                                   name_space + "/camera_info", info_required);
-  chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));
-  choose_exposure(input, named, config, home, &chosen);
-  const auto mask = input.topics().find(home + "/" + kMaskTopic);
-  const bool has_mask =
-      mask != input.topics().end() && mask->second == ros::message_traits::datatype<sensor_msgs::Image>();
-  if (has_mask && !named.mask_by_file) chosen.mask = mask->first;
-  chosen.output_namespace = named.output_namespace.empty() ? home : named.output_namespace;
-  return chosen;
-}
-
 }  // namespace
-
-std::set<std::string> output_topics(const std::string& name_space) {
-  std::set<std::string> topics;
-  for_each_output([&](const char* name, auto, auto) { topics.insert(name_space + "/" + name); });
-  return topics;
-}
 
 DeblurTopics choose_topics(const InputBag& input, const NamedTopics& named, const Config& config) {
   try {
-    return choose(input, named, config);
+    DeblurTopics chosen;
+    chosen.image = choose_images(input, named.images);
+    const std::string name_space = chosen.image.name_space();
+    const std::string home = named.images.home(name_space);
+    const bool info_required = (!config.calibration || !config.calibration->camera) && !goes_without_imu(config);
+    chosen.camera_info = input.choose_topic<sensor_msgs::CameraInfo>("camera_info", named.camera_info,
+                                                                     name_space + "/camera_info", info_required);
+    chosen.imu = input.choose_topic<sensor_msgs::Imu>("imu", named.imu, "", !goes_without_imu(config));
+    choose_exposure(input, named, config, home, &chosen);
+    const std::string mask = home + "/" + kMaskTopic;
+    const bool has_mask = input.type_of(mask) == ros::message_traits::datatype<sensor_msgs::Image>();
+    if (has_mask && !named.mask_by_file) chosen.mask = mask;
+    chosen.output_namespace = named.output_namespace.empty() ? home : named.output_namespace;
+    return chosen;
   } catch (const std::runtime_error& error) {
     throw std::runtime_error(input.path() + ": " + error.what());
   }

@@ -1,7 +1,6 @@
-// Which topics deblur_bag reads and writes.
+// Which topics deblur_bag reads, and where it writes.
 #pragma once
 
-#include <set>
 #include <string>
 
 #include "gyro_deblur/config.hpp"
@@ -17,9 +16,6 @@ struct NamedTopics {
   bool mask_by_file = false;  ///< that of the bag is left aside
   std::string output_namespace;
 };
-
-/// Topics of everything that a frame is published as, see for_each_output().
-std::set<std::string> output_topics(const std::string& name_space);
 
 struct DeblurTopics {
   ImageTopic image;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <utility>
 
+#include "base/format.hpp"
 #include "gyro_deblur/options.hpp"
 
 namespace gyro_deblur {
@@ -17,25 +18,46 @@ TimeNs image_readout_ns(const Config& config, const Footage& footage) {
 
 TimingOptions timing_options(const FootageCalibrationOptions& options, const Config& config, const Footage& footage) {
   TimingOptions timing;
-  timing.stamp_row = config.shutter.stamp_row;
-  timing.stamp_phase = config.shutter.stamp_phase;
-  timing.time_offset_ns = config.gyro.time_offset_ns;
+  timing.shutter = config.shutter;
+  timing.shutter.readout_ns = image_readout_ns(config, footage);
+  timing.gyro = config.gyro;
   timing.search_ns = options.search_ns;
-  timing.readout_ns = image_readout_ns(config, footage);
   timing.estimate_readout = !options.fixed_readout;
   timing.estimate_bias = !options.fixed_bias;
-  timing.bias_rad_s = config.gyro.bias_rad_s;
-  timing.max_gap_ns = config.gyro.max_gap_ns;
-  timing.gyro_range_rad_s = config.gyro.range_rad_s;
   if (!options.estimate_rotation) timing.R_cam_imu = config.R_cam_imu ? config.R_cam_imu : footage.R_cam_imu;
   return timing;
+}
+
+/// Where the stamps do not overlap at an offset that the search reaches, it goes around the offset by which messages
+/// were recorded at the same time, or, where stamps do not overlap at that either (a bag that was written by its
+/// stamps), widely around the difference of their beginnings.
+void search_distant_clocks(const Footage& footage, TimingOptions* timing, FootageCalibration* found) {
+  if (footage.samples.empty()) return;
+  const TimeRange imu{footage.samples.front().t_ns, footage.samples.back().t_ns}, images = footage.images;
+  const auto apart_ns = [&](TimeNs offset_ns) {
+    return std::max({TimeNs{0}, imu.begin_ns - (images.end_ns + offset_ns), images.begin_ns + offset_ns - imu.end_ns});
+  };
+  const TimeNs configured_ns = timing->gyro.time_offset_ns;
+  if (apart_ns(configured_ns) <= timing->search_ns) return;
+  timing->gyro.time_offset_ns = footage.image_delay_ns - footage.imu_delay_ns;
+  if (apart_ns(timing->gyro.time_offset_ns) > 0) {
+    constexpr TimeNs kWide = 5'000'000'000;  // the most that TimingOptions allow
+    timing->gyro.time_offset_ns = imu.begin_ns - images.begin_ns;
+    timing->search_ns = kWide;
+  }
+  found->warnings.push_back("the stamps of images and IMU do not overlap: images from " +
+                            seconds_text(images.begin_ns) + " to " + seconds_text(images.end_ns) + " s, IMU from " +
+                            seconds_text(imu.begin_ns) + " to " + seconds_text(imu.end_ns) +
+                            " s, which with time_offset = " + seconds_text(configured_ns) + " s are " +
+                            seconds_text(apart_ns(configured_ns)) + " s apart: searching around " +
+                            std::to_string(to_seconds(timing->gyro.time_offset_ns)) + " s");
 }
 
 /// As estimated; as configured where nothing was, and enough is given; else nothing.
 std::optional<RotationTrack> motion_of(const FootageCalibration& found, const TimingOptions& options,
                                        const Config& config, const Footage& footage) {
   GyroOptions gyro = config.gyro;
-  if (found.timing && !found.is_refused()) {
+  if (found.timing && found.refusal().empty()) {
     gyro.time_offset_ns = to_ns(found.timing->time_offset_s.value);
     for (int axis = 0; axis < 3; ++axis) gyro.bias_rad_s[axis] = found.timing->bias_rad_s[axis].value;
     return RotationTrack(footage.samples, gyro, found.timing->R_cam_imu);
@@ -48,8 +70,8 @@ RecordedExposure estimate_exposures(const InputBag& input, const FootageTopics& 
                                     const FootageOptions& footage_options, const Footage& footage, const Config& config,
                                     const FootageCalibration& found, const TimingOptions& options) {
   ShutterTiming shutter = config.shutter;
-  shutter.readout_ns =
-      found.timing && !found.is_refused() ? to_ns(found.timing->readout_s.value) : image_readout_ns(config, footage);
+  shutter.readout_ns = found.timing && found.refusal().empty() ? to_ns(found.timing->readout_s.value)
+                                                               : image_readout_ns(config, footage);
   RecordedExposureEstimator estimator(footage.camera, shutter, config.pipeline,
                                       motion_of(found, options, config, footage));
   for_each_picture(input, topics, footage_options, "images examined for blur", [&](const FootagePicture& picture) {
@@ -67,11 +89,9 @@ RecordedExposure estimate_exposures(const InputBag& input, const FootageTopics& 
 /// @param exposure_ns  what the exposure was wrong by
 LearnedCalibration corrected_offset(LearnedCalibration coarse, const TimingEstimate& timing,
                                     const TimingOptions& options, TimeNs exposure_ns) {
-  const double middle_s = 0.5 * (timing.readout_s.value - to_seconds(options.readout_ns));
-  coarse.time_offset_s.value -= options.stamp_row == StampRow::FIRST  ? middle_s
-                                : options.stamp_row == StampRow::LAST ? -middle_s
-                                                                      : 0;
-  coarse.time_offset_s.value -= to_seconds(middle_after_stamp_ns(options.stamp_phase, exposure_ns));
+  const double readout_s = timing.readout_s.value - to_seconds(options.shutter.readout_ns);
+  coarse.time_offset_s.value -= readout_to_middle(options.shutter.stamp_row) * readout_s;
+  coarse.time_offset_s.value -= to_seconds(middle_after_stamp_ns(options.shutter.stamp_phase, exposure_ns));
   return coarse;
 }
 
@@ -145,9 +165,13 @@ bool is_global_shutter(const Estimate& readout_s) {
   return std::abs(readout_s.value) < std::max(kSignificance * readout_s.stddev, kShortS);
 }
 
-bool FootageCalibration::is_refused() const {
-  return std::any_of(objections.begin(), objections.end(),
-                     [](const TimingObjection& objection) { return objection.speaks_against_all; });
+std::string FootageCalibration::refusal() const {
+  if (!timing) return timing_error;
+  std::string text;
+  for (const TimingObjection& objection : objections) {
+    if (objection.speaks_against_all) text += (text.empty() ? "" : "; ") + objection.text;
+  }
+  return text;
 }
 
 FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics& topics,
@@ -155,18 +179,13 @@ FootageCalibration calibrate_footage(const InputBag& input, const FootageTopics&
                                      const Config& config, const FootageCalibrationOptions& options) {
   FootageCalibration found;
   TimingOptions timing = timing_options(options, config, footage);
-  if (const auto distant = start_of_distant_clocks(footage, timing.time_offset_ns, timing.search_ns)) {
-    timing.time_offset_ns = distant->time_offset_ns;
-    timing.search_ns = distant->search_ns;
-    found.warnings.push_back(distant->problem + ": searching around " +
-                             std::to_string(to_seconds(timing.time_offset_ns)) + " s");
-  }
+  search_distant_clocks(footage, &timing, &found);
   const Camera camera(footage.camera);
   found.rotation_from = !timing.R_cam_imu ? "estimated" : config.R_cam_imu ? "as configured" : "tf";
   // Shorter footage determines nothing, and the reason is always that it is too short.
   constexpr TimeNs kShortestNs = 2'000'000'000;
   if (footage.images.end_ns - footage.images.begin_ns >= kShortestNs) {
-    found.coarse = coarse_calibration(footage.rates, footage.samples, timing.time_offset_ns, timing.search_ns);
+    found.coarse = coarse_calibration(footage.rates, footage.samples, timing.gyro.time_offset_ns, timing.search_ns);
   }
   const auto estimate = [&](const std::vector<TrackWindow>& windows, TimeNs exposure_error_ns) {
     try {

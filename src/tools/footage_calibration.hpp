@@ -37,8 +37,8 @@ struct FootageCalibration {
   bool offset_has_exposure = false;   ///< time_offset contains half of an exposure that is not known
   std::vector<std::string> warnings;  ///< of what was found on the way
 
-  /// Whether there is an objection to all of the timing.
-  bool is_refused() const;
+  /// Why the timing is not to be used; empty: nothing speaks against all of it.
+  std::string refusal() const;
 };
 
 /// Whether a readout is too short to be distinguished from 0, or to matter.

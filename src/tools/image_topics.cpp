@@ -1,16 +1,13 @@
 // Chooses the image topic of a bag.
 #include "tools/image_topics.hpp"
 
-#include <algorithm>
-#include <cctype>
 #include <cstddef>
-#include <iterator>
 #include <stdexcept>
-#include <vector>
 
 #include <rosbag/view.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
+#include <boost/algorithm/string.hpp>
 
 #include "ros/compressed_image.hpp"
 #include "tools/bag_reading.hpp"
@@ -23,25 +20,18 @@ constexpr char kCompressedType[] = "sensor_msgs/CompressedImage";
 constexpr char kCompressedSuffix[] = "/compressed";            // image_transport's name below that of the image
 constexpr char kCompressedDepthSuffix[] = "/compressedDepth";  // of compressed_depth_image_transport
 
-bool ends_with(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
-}
-
 std::string without_suffix(const std::string& topic) {
-  return ends_with(topic, kCompressedSuffix) ? topic.substr(0, topic.size() - std::string(kCompressedSuffix).size())
-                                             : topic;
+  return boost::ends_with(topic, kCompressedSuffix) ? boost::erase_last_copy(topic, kCompressedSuffix) : topic;
 }
 
-bool holds(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
-
-bool is_named_like_depth(std::string topic) {
-  std::transform(topic.begin(), topic.end(), topic.begin(), [](unsigned char c) { return std::tolower(c); });
-  return holds(topic, "depth") || holds(topic, "disparity");
+bool is_named_like_depth(const std::string& topic) {
+  return boost::icontains(topic, "depth") || boost::icontains(topic, "disparity");
 }
 
 /// Millimetres, and metres (REP 118), which compressed images have at the beginning of their format.
 bool is_encoded_like_depth(const std::string& encoding) {
-  return encoding.rfind("16UC1", 0) == 0 || encoding.rfind("32FC1", 0) == 0 || holds(encoding, "compressedDepth");
+  return boost::starts_with(encoding, "16UC1") || boost::starts_with(encoding, "32FC1") ||
+         boost::contains(encoding, "compressedDepth");
 }
 
 /// Encoding or format of the first message of a topic; empty where there is none.
@@ -59,31 +49,27 @@ bool is_depth(const InputBag& input, const std::string& topic) {
 }
 
 /// Topics of images by type, less the compressed versions of raw ones.
-std::vector<std::string> image_topics(const BagTopics& topics) {
-  std::vector<std::string> found;
+BagTopics image_topics(const BagTopics& topics) {
+  BagTopics found;
   for (const auto& [name, type] : topics) {
     const bool version_of_raw =
         type == kCompressedType && topics.count(without_suffix(name)) > 0 && without_suffix(name) != name;
-    if ((type == kRawType || type == kCompressedType) && !version_of_raw && !ends_with(name, kCompressedDepthSuffix)) {
-      found.push_back(name);
-    }
+    const bool is_image = type == kRawType || type == kCompressedType;
+    if (is_image && !version_of_raw && !boost::ends_with(name, kCompressedDepthSuffix)) found.emplace(name, type);
   }
   return found;
 }
 
 std::string only_images(const InputBag& input) {
-  const std::vector<std::string> all = image_topics(input.topics());
-  std::vector<std::string> candidates;
-  std::copy_if(all.begin(), all.end(), std::back_inserter(candidates), [&input](const std::string& topic) {
-    return !ends_with(topic, std::string("/") + kMaskTopic) && !is_depth(input, topic);
-  });
-  if (candidates.size() == 1) return candidates.front();
+  const BagTopics all = image_topics(input.topics());
+  BagTopics candidates;
+  for (const auto& [name, type] : all) {
+    const bool is_mask = boost::ends_with(name, std::string("/") + kMaskTopic);
+    if (!is_mask && !is_depth(input, name)) candidates.emplace(name, type);
+  }
+  if (candidates.size() == 1) return candidates.begin()->first;
   if (!candidates.empty()) {
-    std::string list;
-    for (const std::string& topic : candidates) {
-      list += (list.empty() ? "" : ", ") + topic + " (" + input.topics().at(topic) + ")";
-    }
-    throw std::runtime_error("several topics of images, name one with --image-topic: " + list);
+    throw std::runtime_error("several topics of images, name one with --image-topic: " + list_of(candidates));
   }
   const std::string only_depth =
       all.empty() ? "" : ", only depth or masks, which are taken where --image-topic names it";
@@ -127,9 +113,8 @@ sensor_msgs::ImageConstPtr read_image(const rosbag::MessageInstance& instance, b
 ImageTopic choose_images(const InputBag& input, const NamedImages& named) {
   const bool is_named = !named.topic.empty() || !named.camera_namespace.empty();
   const std::string topic = is_named ? named_topic(input.topics(), named) : only_images(input);
-  const auto found = input.topics().find(topic);
   ImageTopic chosen;
-  chosen.compressed = found != input.topics().end() && found->second == kCompressedType;
+  chosen.compressed = input.type_of(topic) == kCompressedType;
   chosen.name = chosen.compressed ? input.choose_topic<sensor_msgs::CompressedImage>("images", topic, "", true)
                                   : input.choose_topic<sensor_msgs::Image>("images", topic, "", true);
   return chosen;

@@ -7,7 +7,6 @@
 
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
-#include <sensor_msgs/image_encodings.h>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
@@ -58,9 +57,7 @@ cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const
                              ": has neither 8 nor 16 bits a channel, no other depth is possible: convert it");
   }
   if (wanted == "mono8" || wanted == "bgr8") {
-    if (deep) {
-      image.convertTo(image, CV_8U, 1.0 / 257.0);
-    }
+    if (deep) image.convertTo(image, CV_8U, 1.0 / 257.0);
     const bool mono = wanted == "mono8";
     if (image.channels() != (mono ? 1 : 3)) {
       const int code = mono ? (image.channels() == 4 ? cv::COLOR_BGRA2GRAY : cv::COLOR_BGR2GRAY)
@@ -70,20 +67,10 @@ cv::Mat read_image(const RecordedFrame& frame, const Recording& recording, const
     encoding = wanted;
     return image;
   }
-  namespace enc = sensor_msgs::image_encodings;
-  switch (image.channels()) {
-    case 1:
-      encoding = deep ? enc::MONO16 : enc::MONO8;
-      break;
-    case 3:
-      encoding = deep ? enc::BGR16 : enc::BGR8;
-      break;
-    case 4:
-      encoding = deep ? enc::BGRA16 : enc::BGRA8;
-      break;
-    default:
-      throw std::runtime_error(frame.path + ": has " + std::to_string(image.channels()) +
-                               " channels; 1, 3 or 4 are possible: convert it");
+  encoding = encoding_of(image);
+  if (encoding.empty()) {
+    throw std::runtime_error(frame.path + ": has " + std::to_string(image.channels()) +
+                             " channels; 1, 3 or 4 are possible: convert it");
   }
   return image;
 }
@@ -93,14 +80,13 @@ TimeNs delivery_time(const RecordedFrame& frame, const Recording& recording) {
   return frame.stamp_ns + frame.exposure_ns + std::max<TimeNs>(recording.readout_ns, 0) + recording.time_offset_ns;
 }
 
-/// Topics of the bag.
+/// Topics of the camera.
 struct Topics {
   explicit Topics(const Arguments& arguments)
       : image(arguments.camera_namespace + "/" + arguments.image),
         camera_info(parent_namespace(image) + "/camera_info"),
-        exposure(arguments.camera_namespace + "/exposure"),
-        imu(arguments.imu_topic) {}
-  std::string image, camera_info, exposure, imu;
+        exposure(arguments.camera_namespace + "/exposure") {}
+  std::string image, camera_info, exposure;
 };
 
 /// Returns the time of the first sample, or of the first image when that is earlier.
@@ -130,7 +116,7 @@ std::string write_images(rosbag::Bag& bag, const Recording& recording, const Arg
       bag.write(topics.exposure, delivered, exposure_message(info.header, frame.exposure_ns, recording.readout_ns));
     }
     bag.write(topics.camera_info, delivered, info);
-    bag.write(topics.image, delivered, image_message(info.header, image, encoding));
+    bag.write(topics.image, delivered, to_image(image, info.header, encoding));
     progress.done(i + 1);
   }
   return encoding;
@@ -140,9 +126,7 @@ std::string write_images(rosbag::Bag& bag, const Recording& recording, const Arg
 std::string write_recording(rosbag::Bag& bag, const Recording& recording, const Arguments& arguments) {
   const TimeNs first_ns = write_imu(bag, recording, arguments);
   const ros::Time begin = bag_time(first_ns, "the recording's start");
-  write_tf_static(bag, begin,
-                  extrinsic_message(recording.R_cam_imu, recording.p_imu_cam_m, arguments.imu_frame,
-                                    arguments.camera_frame, begin));
+  write_extrinsic(bag, begin, recording.R_cam_imu, recording.p_imu_cam_m, arguments.imu_frame, arguments.camera_frame);
   return write_images(bag, recording, arguments);
 }
 
@@ -170,13 +154,11 @@ nlohmann::json report_of(const Recording& recording, const Arguments& arguments,
           {"image_topic", topics.image},
           {"camera_info_topic", topics.camera_info},
           {"exposure_topic", exposures > 0 ? topics.exposure : ""},
-          {"imu_topic", topics.imu}};
+          {"imu_topic", arguments.imu_topic}};
 }
 
 Recording read_recording(const Arguments& arguments) {
-  if (!std::filesystem::is_directory(arguments.input)) {
-    throw std::runtime_error(arguments.input + ": no such folder");
-  }
+  if (!std::filesystem::is_directory(arguments.input)) throw std::runtime_error(arguments.input + ": no such folder");
   if (arguments.format == "euroc") {
     return read_euroc(arguments.input, arguments.euroc_camera, to_ns(arguments.exposure_s));
   }

@@ -41,26 +41,20 @@ const MessageStream::Message* MessageStream::front() {
   return batch_.empty() ? nullptr : &batch_.front();
 }
 
-TimeNs MessageStream::earliest_stamp_ns() const {
-  TimeNs earliest_ns = *batch_.front().stamp_ns;
+TimeRange MessageStream::stamps() const {
+  const TimeNs first_ns = *batch_.front().stamp_ns;
+  TimeRange range{first_ns, first_ns};
   for (std::size_t i = 1; i < std::min(kCompared, batch_.size()); ++i) {
-    earliest_ns = std::min(earliest_ns, batch_[i].stamp_ns.value_or(earliest_ns));
+    const TimeNs stamp_ns = batch_[i].stamp_ns.value_or(first_ns);
+    range = {std::min(range.begin_ns, stamp_ns), std::max(range.end_ns, stamp_ns)};
   }
-  return earliest_ns;
-}
-
-TimeNs MessageStream::latest_stamp_ns() const {
-  TimeNs latest_ns = *batch_.front().stamp_ns;
-  for (std::size_t i = 1; i < std::min(kCompared, batch_.size()); ++i) {
-    latest_ns = std::max(latest_ns, batch_[i].stamp_ns.value_or(latest_ns));
-  }
-  return latest_ns;
+  return range;
 }
 
 const MessageStream::Message* MessageStream::due(TimeNs now_ns, TimeNs until_ns) {
   const Message* message = front();
   if (message == nullptr || message->recorded_ns > now_ns) return nullptr;
-  return message->stamp_ns && is_held_back(earliest_stamp_ns(), until_ns) ? nullptr : message;
+  return message->stamp_ns && is_held_back(stamps().begin_ns, until_ns) ? nullptr : message;
 }
 
 void MessageStream::deliver_due() {
@@ -72,8 +66,8 @@ void MessageStream::deliver_due() {
 
 bool MessageStream::deliver_ahead(TimeNs image_stamp_ns, TimeNs until_ns) {
   const Message* message = front();
-  if (message == nullptr || !message->stamp_ns || is_held_back(earliest_stamp_ns(), until_ns)) return false;
-  const TimeNs stamp_ns = latest_stamp_ns();
+  if (message == nullptr || !message->stamp_ns || is_held_back(stamps().begin_ns, until_ns)) return false;
+  const TimeNs stamp_ns = stamps().end_ns;
   if (stamp_ns < image_stamp_ns - kOtherClockNs) return false;
   const bool set_back = last_stamp_ns_ && stamp_ns < *last_stamp_ns_ - step_back_ns_;
   if (set_back && std::abs(*last_stamp_ns_ - image_stamp_ns) < std::abs(stamp_ns - image_stamp_ns)) return false;

@@ -48,9 +48,8 @@ class MessageStream {
  private:
   /// The next message; null at the end.
   const Message* front();
-  /// Among the next message and two that follow, so that one wrong stamp does not count. Precondition: front() has one.
-  TimeNs earliest_stamp_ns() const;
-  TimeNs latest_stamp_ns() const;
+  /// Of the next message and two that follow, so that one wrong stamp does not count. Precondition: front() has one.
+  TimeRange stamps() const;
 
   rosbag::View view_;
   rosbag::View::iterator next_;

@@ -2,24 +2,17 @@
 #include "tools/output_file.hpp"
 
 #include <filesystem>
-#include <fstream>
 #include <stdexcept>
 #include <system_error>
 #include <utility>
 
 namespace gyro_deblur {
+namespace {
 
-void write_text(const std::string& path, const std::string& text) {
-  std::ofstream file(path);
-  file << text;
+/// @param path  for the message
+void require_written(std::ofstream& file, const std::string& path) {
   if (!file.flush()) throw std::runtime_error(path + ": cannot be written: check folder, permissions and free space");
 }
-
-void write_json(const std::string& path, const nlohmann::json& report, int indent) {
-  if (!path.empty()) write_text(path, report.dump(indent) + "\n");
-}
-
-namespace {
 
 std::string part_of(const std::string& target) {
   namespace fs = std::filesystem;
@@ -29,6 +22,16 @@ std::string part_of(const std::string& target) {
 }
 
 }  // namespace
+
+void write_text(const std::string& path, const std::string& text) {
+  std::ofstream file(path);
+  file << text;
+  require_written(file, path);
+}
+
+void write_json(const std::string& path, const nlohmann::json& report, int indent) {
+  if (!path.empty()) write_text(path, report.dump(indent) + "\n");
+}
 
 PartialFile::PartialFile(std::string target) : target_(std::move(target)), path_(part_of(target_)) {}
 
@@ -40,6 +43,28 @@ PartialFile::~PartialFile() {
 void PartialFile::finish() {
   if (path_ != target_) std::filesystem::rename(path_, target_);
   finished_ = true;
+}
+
+FrameReport::FrameReport(const std::string& path) {
+  if (path.empty()) return;
+  file_.emplace(path);
+  stream_.open(file_->path());
+  stream_ << "{\n  \"frames\": [";
+  require_written(stream_, file_->target());
+}
+
+void FrameReport::add(const nlohmann::json& frame) {
+  stream_ << (has_frames_ ? ",\n    " : "\n    ") << frame.dump();
+  has_frames_ = true;
+}
+
+void FrameReport::finish(const nlohmann::json& whole) {
+  if (!wanted()) return;
+  // The brace that opens `whole` is the one that the file begins with.
+  stream_ << "\n  ]," << whole.dump(2).substr(1) << '\n';
+  require_written(stream_, file_->target());
+  stream_.close();
+  file_->finish();
 }
 
 }  // namespace gyro_deblur

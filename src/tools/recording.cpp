@@ -19,14 +19,12 @@
 #include <stdexcept>
 #include <utility>
 
-#include <yaml-cpp/yaml.h>
 #include <Eigen/LU>
 
 #include "base/join.hpp"
 #include "base/require_range.hpp"
-#include "config/yaml_reading.hpp"
+#include "config/yaml_section.hpp"
 #include "gyro_deblur/calibration.hpp"
-#include "gyro_deblur/options.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
 namespace gyro_deblur {
@@ -38,19 +36,13 @@ namespace fs = std::filesystem;
 /// Reads plain and gzipped files.
 void for_each_line(const std::string& path, const std::function<void(const std::string&)>& on_line) {
   const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(path.c_str(), "rb"), gzclose);
-  if (file == nullptr) {
-    throw std::runtime_error(path + ": cannot be opened: no such file, or no right to read it");
-  }
+  if (file == nullptr) throw std::runtime_error(path + ": cannot be opened: no such file, or no right to read it");
   constexpr int kMaxLine = 4096;
   std::array<char, kMaxLine> buffer{};
   for (int number = 1; gzgets(file.get(), buffer.data(), kMaxLine) != nullptr; ++number) {
     std::string line(buffer.data());
-    while (!line.empty() && (line.back() == '\n' || line.back() == '\r')) {
-      line.pop_back();
-    }
-    if (line.empty() || line.front() == '#') {
-      continue;
-    }
+    line.erase(line.find_last_not_of("\r\n") + 1);
+    if (line.empty() || line.front() == '#') continue;
     try {
       on_line(line);
     } catch (const std::exception& error) {
@@ -59,9 +51,7 @@ void for_each_line(const std::string& path, const std::function<void(const std::
   }
   int status = Z_OK;
   const char* message = gzerror(file.get(), &status);
-  if (status != Z_OK && status != Z_STREAM_END) {
-    throw std::runtime_error(path + ": " + message);
-  }
+  if (status != Z_OK && status != Z_STREAM_END) throw std::runtime_error(path + ": " + message);
 }
 
 /// Fields of a line, separated by commas or blanks.
@@ -70,9 +60,7 @@ std::vector<std::string> split(const std::string& line) {
   std::replace(blanks.begin(), blanks.end(), ',', ' ');
   std::istringstream stream(blanks);
   std::vector<std::string> fields;
-  for (std::string field; stream >> field;) {
-    fields.push_back(field);
-  }
+  for (std::string field; stream >> field;) fields.push_back(field);
   return fields;
 }
 
@@ -87,9 +75,7 @@ const std::string& field_at(const std::vector<std::string>& fields, std::size_t 
 double parse_number(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
-  if (text.empty() || *end != '\0') {
-    throw std::runtime_error("'" + text + "' is no number");
-  }
+  if (text.empty() || *end != '\0') throw std::runtime_error("'" + text + "' is no number");
   return value;
 }
 
@@ -124,9 +110,7 @@ TimeNs parse_time(const std::string& text, double unit_s) {
   }
   constexpr double kMostS = 9e9;  // what nanoseconds in 64 bits hold
   const double time_s = parse_number(text) * unit_s;
-  if (!(std::abs(time_s) <= kMostS)) {
-    throw std::runtime_error("'" + text + "' is no time: at most 9e9 s are allowed");
-  }
+  if (!(std::abs(time_s) <= kMostS)) throw std::runtime_error("'" + text + "' is no time: at most 9e9 s are allowed");
   return to_ns(time_s);
 }
 
@@ -135,140 +119,81 @@ Eigen::Vector3d parse_vector(const std::vector<std::string>& fields, const std::
           parse_number(field_at(fields, columns[2]))};
 }
 
-/// A file of keys, or a section of it; errors name file, section, key and value.
-class Description {
- public:
-  explicit Description(const std::string& path) : path_(path), node_(load_yaml_file(path)) {}
-  Description(const std::string& path, const YAML::Node& node) : path_(path), node_(node) {}
+/// Columns count from 1 in descriptions, from 0 here.
+std::size_t read_column(const Section& section, const std::string& key) {
+  const int number = section.integer(key);
+  require_range(section.name(key).c_str(), number, 1, 100);
+  return static_cast<std::size_t>(number) - 1;
+}
 
-  bool has(const std::string& key) const {
-    known_.insert(key);
-    return node_.IsMap() && node_[key];
+/// The regular expression `pattern` of a section.
+/// @param groups  what each of its groups holds
+std::regex read_pattern(const Section& section, const std::vector<std::string>& groups) {
+  const std::string text = section.text("pattern"), start = section.name("pattern") + " = " + text;
+  std::regex expression;
+  try {
+    expression.assign(text);
+  } catch (const std::regex_error& error) {
+    throw std::runtime_error(start + " is no regular expression: " + error.what());
   }
-
-  template <typename T>
-  T get(const std::string& key) const {
-    if (!has(key)) {
-      throw std::runtime_error(path_ + ": '" + key + "' is missing; config/recordings/ has an example of each file");
-    }
-    try {
-      return node_[key].template as<T>();
-    } catch (const YAML::Exception&) {
-      throw std::runtime_error(path_ + ": '" + key + "' = " + describe(node_[key]) +
-                               " has another type than in the examples in config/recordings/");
-    }
+  if (expression.mark_count() != groups.size()) {
+    throw std::runtime_error(start + " has " + std::to_string(expression.mark_count()) +
+                             " groups in parentheses instead of " + std::to_string(groups.size()) + ": " +
+                             join(groups) + ". Write other parentheses as (?:...)");
   }
-
-  template <typename T>
-  T get(const std::string& key, const T& fallback) const {
-    return has(key) ? get<T>(key) : fallback;
-  }
-
-  Description child(const std::string& key) const { return {path_ + ": " + key, get<YAML::Node>(key)}; }
-
-  /// Columns count from 1 in descriptions, from 0 here.
-  std::size_t column(const std::string& key) const {
-    const int number = get<int>(key);
-    require_range((path_ + ": " + key).c_str(), number, 1, 100);
-    return static_cast<std::size_t>(number) - 1;
-  }
-
-  /// The regular expression `pattern`.
-  /// @param groups  what each of its groups holds
-  std::regex pattern(const std::vector<std::string>& groups) const {
-    const auto text = get<std::string>("pattern");
-    const std::string start = path_ + ": 'pattern' = " + text;
-    std::regex expression;
-    try {
-      expression.assign(text);
-    } catch (const std::regex_error& error) {
-      throw std::runtime_error(start + " is no regular expression: " + error.what());
-    }
-    if (expression.mark_count() != groups.size()) {
-      throw std::runtime_error(start + " has " + std::to_string(expression.mark_count()) +
-                               " groups in parentheses instead of " + std::to_string(groups.size()) + ": " +
-                               join(groups) + ". Write other parentheses as (?:...)");
-    }
-    return expression;
-  }
-
-  std::vector<double> numbers(const std::string& key, std::size_t count) const {
-    const auto values = get<std::vector<double>>(key);
-    if (values.size() != count) {
-      throw std::runtime_error(path_ + ": '" + key + "' has " + std::to_string(values.size()) + " numbers, " +
-                               std::to_string(count) + " are expected");
-    }
-    return values;
-  }
-
-  /// To be called when all has been read. Throws if there is a key that nobody asked for: one misspelled would be
-  /// ignored.
-  void require_known_keys() const {
-    if (!node_.IsMap()) return;
-    for (const auto& entry : node_) {
-      const auto key = entry.first.as<std::string>();
-      if (known_.count(key) == 0) {
-        throw std::runtime_error(path_ + ": '" + key + "' is not among the keys: " + join(known_));
-      }
-    }
-  }
-
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-  YAML::Node node_;
-  mutable std::set<std::string> known_;  // keys that were asked for
-};
+  return expression;
+}
 
 /// What every description holds: camera, extrinsic and clock.
-Recording read_calibration(const Description& description) {
+Recording read_calibration(const Section& description) {
   Recording recording;
-  const Description camera = description.child("camera");
+  const Section camera = description.child("camera");
   CameraCalibration& calibration = recording.camera;
-  calibration.width_px = camera.get<int>("width");
-  calibration.height_px = camera.get<int>("height");
-  calibration.fx_px = camera.get<double>("fx");
-  calibration.fy_px = camera.get<double>("fy");
-  calibration.cx_px = camera.get<double>("cx");
-  calibration.cy_px = camera.get<double>("cy");
-  calibration.coefficients = camera.get<std::vector<double>>("distortion", {});
+  calibration.width_px = camera.integer("width");
+  calibration.height_px = camera.integer("height");
+  calibration.fx_px = camera.number("fx");
+  calibration.fy_px = camera.number("fy");
+  calibration.cx_px = camera.number("cx");
+  calibration.cy_px = camera.number("cy");
+  if (camera.has("distortion")) calibration.coefficients = camera.numbers("distortion");
   if (camera.has("distortion_model") || !calibration.coefficients.empty()) {
-    const std::string model = require_distortion_model(camera.get<std::string>("distortion_model"));
+    const std::string model = require_distortion_model(camera.text("distortion_model"));
     if (!calibration.coefficients.empty()) calibration.model = model;
   }
-  camera.require_known_keys();
   calibration.validate();
 
   const std::vector<double> rotation = description.numbers("R_cam_imu", 9);
   recording.R_cam_imu =
       require_rotation("R_cam_imu", Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(rotation.data()));
-  recording.time_offset_ns = to_ns(description.get<double>("time_offset"));
-  recording.readout_ns = to_ns(description.get<double>("readout_time"));
+  recording.time_offset_ns = description.seconds("time_offset");
+  recording.readout_ns = description.seconds("readout_time");
   return recording;
 }
 
-void require_content(const Recording& recording, const std::string& folder) {
-  if (recording.frames.empty()) {
+/// Orders the frames. Throws when there are none, or no samples.
+void complete(const std::string& folder, Recording* recording) {
+  std::stable_sort(recording->frames.begin(), recording->frames.end(),
+                   [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
+  if (recording->frames.empty()) {
     throw std::runtime_error(folder + ": no image found: check the folder, and the pattern of the description");
   }
-  if (recording.imu.empty()) {
+  if (recording->imu.empty()) {
     throw std::runtime_error(folder + ": no gyroscope sample found: check the file of the gyroscope's samples");
   }
 }
 
 /// Times by the number of the image: in a column, where line i (from 1) belongs to image number i, or by a pattern.
-std::map<int, TimeNs> read_times(const fs::path& folder, const Description& times) {
+std::map<int, TimeNs> read_times(const fs::path& folder, const Section& times) {
   const bool has_pattern = times.has("pattern");
   if (has_pattern == times.has("column")) {
-    throw std::runtime_error(times.path() + ": needs either 'column' or 'pattern', and has " +
-                             (has_pattern ? "both" : "none"));
+    throw std::runtime_error(times.name("column") + (has_pattern ? " excludes" : " is missing, and so is") +
+                             " pattern: give one of the two");
   }
-  const std::regex pattern = has_pattern ? times.pattern({"image number", "time"}) : std::regex();
-  const std::size_t column = has_pattern ? 0 : times.column("column");
-  const double unit_s = times.get<double>("unit");
+  const std::regex pattern = has_pattern ? read_pattern(times, {"image number", "time"}) : std::regex();
+  const std::size_t column = has_pattern ? 0 : read_column(times, "column");
+  const double unit_s = times.number("unit");
   std::map<int, TimeNs> times_ns;
-  for_each_line((folder / times.get<std::string>("file")).string(), [&](const std::string& line) {
+  for_each_line((folder / times.text("file")).string(), [&](const std::string& line) {
     std::smatch match;
     if (!has_pattern) {
       times_ns[static_cast<int>(times_ns.size()) + 1] = parse_time(field_at(split(line), column), unit_s);
@@ -276,35 +201,29 @@ std::map<int, TimeNs> read_times(const fs::path& folder, const Description& time
       times_ns[parse_image_number(match[1])] = parse_time(match[2], unit_s);
     }
   });
-  times.require_known_keys();
   return times_ns;
 }
 
-std::vector<RecordedFrame> read_images(const fs::path& folder, const Description& description) {
-  const Description images = description.child("images");
-  const fs::path image_folder = folder / images.get<std::string>("folder");
-  const std::regex name_pattern = images.pattern({"image number"});
-  images.require_known_keys();
-  if (!fs::is_directory(image_folder)) {
-    throw std::runtime_error(image_folder.string() + ": no such folder");
-  }
-  const Description stamps = description.child("frame_stamps");
+std::vector<RecordedFrame> read_images(const fs::path& folder, const Section& description) {
+  const Section images = description.child("images");
+  const fs::path image_folder = folder / images.text("folder");
+  const std::regex name_pattern = read_pattern(images, {"image number"});
+  if (!fs::is_directory(image_folder)) throw std::runtime_error(image_folder.string() + ": no such folder");
+  const Section stamps = description.child("frame_stamps");
   const std::map<int, TimeNs> stamps_ns = read_times(folder, stamps);
   std::map<int, TimeNs> exposures_ns;
   if (description.has("exposures")) exposures_ns = read_times(folder, description.child("exposures"));
-  const TimeNs common_exposure_ns = to_ns(description.get<double>("exposure_time", 0.0));
+  const TimeNs common_exposure_ns = description.has("exposure_time") ? description.seconds("exposure_time") : 0;
   std::vector<RecordedFrame> frames;
   for (const fs::directory_entry& entry : fs::directory_iterator(image_folder)) {
     std::smatch match;
     const std::string name = entry.path().filename().string();
-    if (!std::regex_match(name, match, name_pattern)) {
-      continue;
-    }
+    if (!std::regex_match(name, match, name_pattern)) continue;
     const int number = parse_image_number(match[1], entry.path().string() + ": ");
     const auto stamp = stamps_ns.find(number);
     if (stamp == stamps_ns.end()) {
       throw std::runtime_error(entry.path().string() + ": no stamp for image " + std::to_string(number) + " in " +
-                               stamps.get<std::string>("file") + ", which has " + std::to_string(stamps_ns.size()));
+                               stamps.text("file") + ", which has " + std::to_string(stamps_ns.size()));
     }
     const auto exposure = exposures_ns.find(number);
     frames.push_back(
@@ -316,17 +235,16 @@ std::vector<RecordedFrame> read_images(const fs::path& folder, const Description
 using Samples = std::vector<std::pair<TimeNs, Eigen::Vector3d>>;
 
 /// Samples of a sensor with three axes; with a kind, only the rows of that kind.
-Samples read_samples(const fs::path& folder, const Description& sensor, const std::string& unit_key) {
-  const std::array<std::size_t, 3> columns_xyz = {sensor.column("x_column"), sensor.column("y_column"),
-                                                  sensor.column("z_column")};
-  const std::size_t column_t = sensor.column("time_column");
-  const double unit_s = sensor.get<double>("time_unit");
-  const double unit = sensor.get<double>(unit_key);
+Samples read_samples(const fs::path& folder, const Section& sensor, const std::string& unit_key) {
+  const std::array<std::size_t, 3> columns_xyz = {read_column(sensor, "x_column"), read_column(sensor, "y_column"),
+                                                  read_column(sensor, "z_column")};
+  const std::size_t column_t = read_column(sensor, "time_column");
+  const double unit_s = sensor.number("time_unit");
+  const double unit = sensor.number(unit_key);
   const bool has_kind = sensor.has("kind") || sensor.has("kind_column");
-  const std::string kind = has_kind ? sensor.get<std::string>("kind") : "";
-  const std::size_t column_kind = has_kind ? sensor.column("kind_column") : 0;
-  const std::string path = (folder / sensor.get<std::string>("file")).string();
-  sensor.require_known_keys();
+  const std::string kind = has_kind ? sensor.text("kind") : "";
+  const std::size_t column_kind = has_kind ? read_column(sensor, "kind_column") : 0;
+  const std::string path = (folder / sensor.text("file")).string();
   constexpr std::size_t kMostKinds = 10;  // that an error lists
   std::set<std::string> kinds;
   Samples samples;
@@ -346,7 +264,7 @@ Samples read_samples(const fs::path& folder, const Description& sensor, const st
 }
 
 /// An acceleration belongs to the rate with the same time.
-std::vector<RecordedImu> read_imu(const fs::path& folder, const Description& description) {
+std::vector<RecordedImu> read_imu(const fs::path& folder, const Section& description) {
   std::map<TimeNs, Eigen::Vector3d> accelerations_m_s2;
   if (description.has("accelerometer")) {
     const Samples samples = read_samples(folder, description.child("accelerometer"), "acceleration_unit");
@@ -360,9 +278,9 @@ std::vector<RecordedImu> read_imu(const fs::path& folder, const Description& des
   }
   const auto has_none = [](const RecordedImu& sample) { return !sample.acceleration_m_s2; };
   if (description.has("accelerometer") && !imu.empty() && std::all_of(imu.begin(), imu.end(), has_none)) {
-    throw std::runtime_error(description.path() +
-                             ": accelerometer: no sample has the time of a gyroscope sample: "
-                             "leave the section out, or give samples of the same times");
+    throw std::runtime_error(description.name("accelerometer") +
+                             ": no sample has the time of a gyroscope sample: leave the section out, or give samples "
+                             "of the same times");
   }
   return imu;
 }
@@ -389,21 +307,21 @@ Recording read_euroc(const std::string& folder, const std::string& camera, TimeN
     recording.imu.push_back({parse_time(field_at(fields, 0), kNanosecond), parse_vector(fields, {1, 2, 3}),
                              parse_vector(fields, {4, 5, 6})});
   });
-  require_content(recording, folder);
-  std::stable_sort(recording.frames.begin(), recording.frames.end(),
-                   [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
+  complete(folder, &recording);
   return recording;
 }
 
 Recording read_frames(const std::string& folder, const std::string& description_path) {
-  const Description description(description_path);
+  const Section description = Section::load(description_path);
   Recording recording = read_calibration(description);
   recording.frames = read_images(folder, description);
-  std::sort(recording.frames.begin(), recording.frames.end(),
-            [](const RecordedFrame& a, const RecordedFrame& b) { return a.stamp_ns < b.stamp_ns; });
   recording.imu = read_imu(folder, description);
-  description.require_known_keys();
-  require_content(recording, folder);
+  // A misspelled key would be ignored.
+  if (const std::vector<std::string> unknown = description.unknown_keys(); !unknown.empty()) {
+    throw std::runtime_error(description_path + ": unknown keys: " + join(unknown) +
+                             "; config/recordings/ has an example of each file");
+  }
+  complete(folder, &recording);
   return recording;
 }
 

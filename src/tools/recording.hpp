@@ -40,7 +40,7 @@ struct Recording {
 /// EuRoC's ASL layout: `folder` is mav0 or holds it; `camera` is the sensor's folder, e.g. cam0. Stamps are taken as
 /// they are. No exposure is recorded: `exposure_ns` (0: unknown) is given to every frame. All readers throw
 /// std::runtime_error with the file, and the line where there is one, for what cannot be read, and OptionError for
-/// calibrations that cannot be used.
+/// calibrations and descriptions that cannot be used.
 Recording read_euroc(const std::string& folder, const std::string& camera, TimeNs exposure_ns);
 
 /// A folder of numbered images, files of their stamps and exposure times, and a file of IMU samples.

@@ -91,8 +91,7 @@ class SimulationWriter {
 
   void write_extrinsic() {
     const ros::Time begin = bag_time(scene_.start_ns, "the scene's start");
-    write_tf_static(bag_, begin,
-                    extrinsic_message(scene_.imu.R_cam_imu, Eigen::Vector3d::Zero(), kImuFrame, kCameraFrame, begin));
+    gyro_deblur::write_extrinsic(bag_, begin, scene_.imu.R_cam_imu, Eigen::Vector3d::Zero(), kImuFrame, kCameraFrame);
   }
 
   /// The IMU samples up to a frame's end, and the frame. Returns the frame's part of the report.
@@ -106,7 +105,7 @@ class SimulationWriter {
     bag_.write("/camera/exposure", finished,
                exposure_message(info_.header, frame.timing.exposure_ns, frame.timing.readout_ns));
     bag_.write("/camera/camera_info", finished, info_);
-    bag_.write("/camera/image_raw", finished, image_message(info_.header, frame.image, scene_.camera.encoding));
+    bag_.write("/camera/image_raw", finished, to_image(frame.image, info_.header, scene_.camera.encoding));
     write_truth(i, finished, reference_ns);
     const std::vector<double> extents = true_extents(simulator_, i);
     return {{"stamp_ns", frame.stamp_ns},
@@ -117,9 +116,6 @@ class SimulationWriter {
             {"max_extent_px", extents.empty() ? 0.0 : *std::max_element(extents.begin(), extents.end())}};
   }
 
-  void write_remaining_imu() { write_imu_until(scene_.end_ns()); }
-
- private:
   void write_imu_until(TimeNs t_ns) {
     const TimeNs time_offset_ns = scene_.imu.time_offset_ns;
     for (; next_imu_ < imu_.size() && imu_[next_imu_].t_ns - time_offset_ns <= t_ns; ++next_imu_) {
@@ -130,15 +126,16 @@ class SimulationWriter {
     }
   }
 
+ private:
   void write_truth(int i, ros::Time finished, TimeNs reference_ns) {
     const ros::Time reference = bag_time(reference_ns, "reference time");
     const std::string& encoding = scene_.camera.encoding;
     bag_.write("/truth/pose", finished,
                pose_message(make_header(reference, kWorldFrame), simulator_.pose(reference_ns)));
     if (!truth_images_) return;
-    bag_.write("/truth/sharp", finished, image_message(info_.header, simulator_.sharp(i), encoding));
+    bag_.write("/truth/sharp", finished, to_image(simulator_.sharp(i), info_.header, encoding));
     bag_.write("/truth/global_shutter", finished,
-               image_message(make_header(reference, kCameraFrame), simulator_.global_shutter(reference_ns), encoding));
+               to_image(simulator_.global_shutter(reference_ns), make_header(reference, kCameraFrame), encoding));
   }
 
   rosbag::Bag& bag_;
@@ -161,7 +158,7 @@ nlohmann::json write_simulation(rosbag::Bag& bag, Simulator& simulator, const Ar
     frames.push_back(writer.write_frame(i));
     progress.done(static_cast<std::size_t>(i) + 1);
   }
-  writer.write_remaining_imu();
+  writer.write_imu_until(scene.end_ns());
   bag.close();
   const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - started;
   return {{"bag", arguments.output},

@@ -2,7 +2,6 @@
 #include "tools/timing_footage.hpp"
 
 #include <algorithm>
-#include <map>
 #include <stdexcept>
 #include <utility>
 
@@ -13,7 +12,6 @@
 #include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include "base/format.hpp"
 #include "base/median.hpp"
 #include "calibrate/frame_tracker.hpp"
 #include "ros/conversions.hpp"
@@ -86,12 +84,11 @@ void read_camera(const rosbag::Bag& bag, const cv::Size& size, const FootageTopi
 class PairCollector {
  public:
   /// The footage has its camera by the first image.
-  PairCollector(const std::map<TimeNs, Exposure>& exposures, const Config& config, const FrameTrackerOptions& tracker,
-                Footage* footage)
+  PairCollector(const std::map<TimeNs, Exposure>& exposures, const Config& config, int points, Footage* footage)
       : exposures_(exposures),
         shutter_(config.shutter),
         bit_depth_(config.pipeline.significant_bits),
-        tracker_(tracker),
+        tracker_(points),
         footage_(footage) {}
 
   void add(TimeNs stamp_ns, const ImageView& pixels) {
@@ -169,28 +166,6 @@ FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, co
   return chosen;
 }
 
-std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeNs time_offset_ns, TimeNs search_ns) {
-  if (footage.samples.empty()) return std::nullopt;
-  const TimeRange imu{footage.samples.front().t_ns, footage.samples.back().t_ns}, images = footage.images;
-  const auto apart_ns = [&](TimeNs offset_ns) {
-    return std::max({TimeNs{0}, imu.begin_ns - (images.end_ns + offset_ns), images.begin_ns + offset_ns - imu.end_ns});
-  };
-  if (apart_ns(time_offset_ns) <= search_ns) return std::nullopt;
-  OffsetStart start;
-  start.problem = "the stamps of images and IMU do not overlap: images from " + seconds_text(images.begin_ns) + " to " +
-                  seconds_text(images.end_ns) + " s, IMU from " + seconds_text(imu.begin_ns) + " to " +
-                  seconds_text(imu.end_ns) + " s, which with time_offset = " + seconds_text(time_offset_ns) +
-                  " s are " + seconds_text(apart_ns(time_offset_ns)) + " s apart";
-  start.time_offset_ns = footage.image_delay_ns - footage.imu_delay_ns;
-  start.search_ns = search_ns;
-  if (apart_ns(start.time_offset_ns) > 0) {
-    constexpr TimeNs kWide = 5'000'000'000;  // the most that TimingOptions allow
-    start.time_offset_ns = imu.begin_ns - images.begin_ns;
-    start.search_ns = kWide;
-  }
-  return start;
-}
-
 void for_each_picture(const InputBag& input, const FootageTopics& topics, const FootageOptions& options,
                       const std::string& what, const std::function<void(const FootagePicture&)>& use) {
   const rosbag::Bag& bag = input.bag();
@@ -225,9 +200,7 @@ Footage read_footage(const InputBag& input, const FootageTopics& topics, const F
   footage.samples = read_gyro(bag, topics.imu, &imu_frame, &footage.imu_delay_ns);
   const std::map<TimeNs, Exposure> exposures = read_exposures(bag, topics.exposure);
 
-  FrameTrackerOptions tracker;
-  tracker.max_points = options.points;
-  PairCollector collector(exposures, config, tracker, &footage);
+  PairCollector collector(exposures, config, options.points, &footage);
   std::vector<TimeNs> delays_ns;
   for_each_picture(input, topics, options, "images followed", [&](const FootagePicture& picture) {
     if (footage.frames == 0) {

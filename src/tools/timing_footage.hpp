@@ -55,18 +55,6 @@ struct Footage {
   FramePeriod period;
 };
 
-/// Where the search for the time offset begins when the stamps of images and IMU do not overlap.
-struct OffsetStart {
-  std::string problem;  ///< which stamps, and how far they are apart
-  TimeNs time_offset_ns = 0;
-  TimeNs search_ns = 0;
-};
-
-/// Nothing where the stamps overlap at an offset that the search reaches. Else the offset by which messages were
-/// recorded at the same time, or, where stamps do not overlap at that either (a bag that was written by its stamps),
-/// the difference of their beginnings, with a wide search.
-std::optional<OffsetStart> start_of_distant_clocks(const Footage& footage, TimeNs time_offset_ns, TimeNs search_ns);
-
 /// @param named  topics that the user named; empty ones are looked for
 /// Throws std::runtime_error that lists the bag's topics.
 FootageTopics choose_topics(const InputBag& input, const NamedFootage& named, const Config& config);

@@ -126,22 +126,17 @@ TEST(AdviseExposure, SaysNothingWhereEveryExposureIsPoor) {
 TEST(ExposureTerms, AreThoseOfTheField) {
   FrameBlur field = uniform_blur_field(640, 256, 0, 12, {});
   field.exposure_ns = 20 * kMs;
-  EXPECT_FALSE(exposure_terms(field, assess_quality(field), {}, {})) << "noise and contrast are not known";
+  EXPECT_FALSE(exposure_terms(field, assess_quality(field), {})) << "noise and contrast are not known";
   field.noise = 3;
   field.contrast = 5;
-  const auto terms = exposure_terms(field, assess_quality(field), {}, {});
+  const auto terms = exposure_terms(field, assess_quality(field), {});
   ASSERT_TRUE(terms);
   EXPECT_NEAR(terms->speed_px_s, 600, 1e-3);
   EXPECT_EQ(terms->exposure_ns, 20 * kMs);
   EXPECT_NEAR(terms->noise_to_contrast, 0.75, 1e-9);
   EXPECT_EQ(terms->noise.photons, 1);
-  NoiseModel sensor;
-  sensor.read_noise = 1.5;
-  sensor.photon_gain = 0.1;
-  EXPECT_NEAR(exposure_terms(field, assess_quality(field), {}, sensor)->noise.reading, 0.25, 1e-9);
-  EXPECT_NEAR(exposure_terms(field, assess_quality(field), {}, sensor)->noise.photons, 0.75, 1e-9);
   for (BlockBlur& block : field.blocks) block.status = BlockStatus::NO_GYRO;
-  EXPECT_FALSE(exposure_terms(field, assess_quality(field), {}, {})) << "the motion is not known";
+  EXPECT_FALSE(exposure_terms(field, assess_quality(field), {})) << "the motion is not known";
 }
 
 }  // namespace

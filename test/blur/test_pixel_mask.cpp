@@ -172,9 +172,6 @@ TEST(PixelMask, MaskedPixelsDoNotChangeTheNoise) {
   }
   EXPECT_EQ(image_contrast(bright, PixelLayout::GRAY, 8, mask), image_contrast(rim, PixelLayout::GRAY, 8, mask));
   EXPECT_NE(image_contrast(bright, PixelLayout::GRAY, 8), image_contrast(rim, PixelLayout::GRAY, 8));
-  const NoiseModel model{1, 0.1};
-  EXPECT_EQ(image_noise(bright, model, mask), image_noise(rim, model, mask));
-  EXPECT_NE(image_noise(bright, model), image_noise(rim, model));
   cv::Mat color;
   cv::merge(std::vector<cv::Mat>{rim, rim, rim}, color);
   EXPECT_EQ(image_noise(color, PixelLayout::BGR, 8, 1, mask), image_noise(rim, PixelLayout::GRAY, 8, 1, mask));

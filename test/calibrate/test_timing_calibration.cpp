@@ -131,10 +131,11 @@ TEST(EstimateTiming, FindsTheTruthFromExactPoints) {
     const Footage footage(truth);
     for (const StampRow row : {StampRow::FIRST, StampRow::LAST}) {
       TimingOptions options;
-      options.stamp_row = row;
-      options.stamp_phase = row == StampRow::FIRST ? StampPhase::START : StampPhase::END;
-      const TimingEstimate estimate = estimate_timing(
-          footage.camera(), footage.windows(kFrames, 0, row, options.stamp_phase), footage.gyro(kFrames), options);
+      options.shutter.stamp_row = row;
+      options.shutter.stamp_phase = row == StampRow::FIRST ? StampPhase::START : StampPhase::END;
+      const TimingEstimate estimate =
+          estimate_timing(footage.camera(), footage.windows(kFrames, 0, row, options.shutter.stamp_phase),
+                          footage.gyro(kFrames), options);
       const Errors errors = errors_of(estimate, truth);
       EXPECT_LT(std::abs(errors.offset_ms), 0.02);
       EXPECT_NEAR(estimate.readout_s.value, to_seconds(truth.readout_ns), 5e-5);
@@ -152,7 +153,7 @@ TEST(EstimateTiming, StandardDeviationsAreThoseOfTheErrors) {
   constexpr int kFrames = 100;
   TimingOptions options;
   const TimingEstimate estimate =
-      estimate_timing(footage.camera(), footage.windows(kFrames, 0.5, options.stamp_row, options.stamp_phase),
+      estimate_timing(footage.camera(), footage.windows(kFrames, 0.5, StampRow::FIRST, StampPhase::START),
                       footage.gyro(kFrames), options);
   constexpr double kSigmas = 2;  // which allow for errors of tracking, that these points do not have
   const Errors errors = errors_of(estimate, truth);
@@ -175,7 +176,7 @@ TEST(EstimateTiming, EverySignMatters) {
   TimingOptions options;
   options.R_cam_imu = truth.R_cam_imu;
   constexpr int kWindow = 4;
-  const auto pairs = footage.windows(kFrames - kWindow, 0.1, options.stamp_row, options.stamp_phase, kWindow);
+  const auto pairs = footage.windows(kFrames - kWindow, 0.1, StampRow::FIRST, StampPhase::START, kWindow);
   const TimingEstimate right = estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options);
   EXPECT_LT(right.median_px, 0.2);
   EXPECT_EQ(right.rotation_stddev_rad.norm(), 0) << "given, not estimated";
@@ -183,7 +184,7 @@ TEST(EstimateTiming, EverySignMatters) {
   options.R_cam_imu = Eigen::Matrix3d(truth.R_cam_imu.transpose());
   EXPECT_GT(estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options).median_px, 3);
   options.R_cam_imu = truth.R_cam_imu;
-  options.readout_ns = -truth.readout_ns;
+  options.shutter.readout_ns = -truth.readout_ns;
   options.estimate_readout = false;
   const TimingEstimate wrong_readout = estimate_timing(footage.camera(), pairs, footage.gyro(kFrames), options);
   EXPECT_GT(wrong_readout.median_px, 5 * right.median_px);
@@ -195,7 +196,7 @@ TEST(EstimateTiming, GrossErrorsOfTrackingDoNoHarm) {
   const Footage footage(truth);
   constexpr int kFrames = 100;
   TimingOptions options;
-  auto pairs = footage.windows(kFrames, 0.2, options.stamp_row, options.stamp_phase);
+  auto pairs = footage.windows(kFrames, 0.2, StampRow::FIRST, StampPhase::START);
   std::mt19937 random(3);
   std::uniform_real_distribution<double> offset(-60, 60);
   for (TrackWindow& pair : pairs) {

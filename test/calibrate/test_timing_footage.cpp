@@ -98,9 +98,7 @@ TEST(TimingFootage, MeetsTheLimits) {
   for (const Case& c : cases) {
     constexpr int kFrames = 60;
     sim::Simulator simulator(scene_of(c, kFrames));
-    FrameTrackerOptions tracking;
-    tracking.max_points = 100;  // as calibrate
-    FrameTracker tracker(tracking);
+    FrameTracker tracker(100);  // as calibrate
     for (int i = 0; i < kFrames; ++i) {
       const sim::Frame frame = simulator.frame(i);
       tracker.add({frame.stamp_ns, frame.timing.exposure_ns}, frame.image);

@@ -189,56 +189,20 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
   EXPECT_EQ(unknown, (std::vector<std::string>{"before", "gama", "exposure"}));
   EXPECT_NO_THROW(parse("gama: 0.1"));
   EXPECT_EQ(unknown_key_message("gama"), "gama is not known, ignored");
-  EXPECT_EQ(unknown_key_message("backend"), "backend is not known, ignored: it is now called engine");
-  EXPECT_EQ(unknown_key_message("bridge_gyro_gaps"),
-            "bridge_gyro_gaps is not known, ignored: it is now called flow_without_gyro, and true is now always");
-  EXPECT_NE(unknown_key_message("odometry_clock").find("optical_flow"), std::string::npos);
 }
 
-TEST(ParseConfig, NamesTheSuccessorsOfFormerParameters) {
-  const std::vector<std::pair<std::string, std::string>> constants{{"tau", "6 grey levels / px"},
-                                                                   {"tau_contrast", "200 grey levels"},
-                                                                   {"false_acceptance", "0.1"},
-                                                                   {"kernel_length_factor", "4"},
-                                                                   {"kernel_smoothing", "0 px"},
-                                                                   {"read_noise", "0 grey levels"},
-                                                                   {"noise_gain", "0 grey levels"},
-                                                                   {"photon_gain", "0 grey levels"},
-                                                                   {"global_shutter_border", "black"},
-                                                                   {"gyro_buffer_duration", "5 s"},
-                                                                   {"bias_window", "1 s"},
-                                                                   {"time_jump_threshold", "0.5 s"},
-                                                                   {"track_border", "32 px"},
-                                                                   {"track_max_round_trip", "1 px"},
-                                                                   {"track_max_epipolar", "1 px"},
-                                                                   {"track_window", "21 px"},
-                                                                   {"track_levels", "3"}};
+TEST(ParseConfig, NamesTheValuesOfConstants) {
+  const std::vector<std::pair<std::string, std::string>> constants{
+      {"tau", "6 grey levels / px"},    {"tau_contrast", "200 grey levels"}, {"validation_false_accept_rate", "0.1"},
+      {"filter_length_factor", "4"},    {"gyro_buffer_duration", "5 s"},     {"bias_window", "1 s"},
+      {"time_jump_threshold", "0.5 s"}, {"track_border", "32 px"},           {"track_max_round_trip", "1 px"},
+      {"track_max_epipolar", "1 px"},   {"track_window", "21 px"},           {"track_levels", "3"}};
   for (const auto& [key, value] : constants) {
     std::vector<std::string> unknown;
     EXPECT_EQ(dump(parse(key + ": 7", &unknown)), dump(Config{})) << key << " changed something";
     EXPECT_EQ(unknown, std::vector<std::string>{key});
-    EXPECT_EQ(unknown_key_message(key).rfind(key + " is no parameter any more, ignored: it is " + value + ". ", 0), 0u)
+    EXPECT_EQ(unknown_key_message(key).rfind(key + " is a constant, ignored: it is " + value + ". ", 0), 0u)
         << unknown_key_message(key);
-  }
-  const std::vector<std::pair<std::string, std::string>> present_names{{"descriptor", "keypoint_descriptor"},
-                                                                       {"detector", "keypoint_detector"},
-                                                                       {"drop_bad", "drop_poor"},
-                                                                       {"gamma", "noise_to_signal_ratio"},
-                                                                       {"gamma_rule", "regularization"},
-                                                                       {"grid_cols", "keypoint_grid"},
-                                                                       {"grid_rows", "keypoint_grid"},
-                                                                       {"gyro_timeout", "input_timeout"},
-                                                                       {"max_bend", "curved_path_threshold"},
-                                                                       {"max_features", "max_keypoints"},
-                                                                       {"motion_from_images", "optical_flow"},
-                                                                       {"stereo_patience", "stereo_sync_timeout"},
-                                                                       {"validate", "validation"}};
-  for (const auto& [key, present] : present_names) {
-    std::vector<std::string> unknown;
-    EXPECT_TRUE(YAML::LoadFile(GYRO_DEBLUR_SOURCE_DIR "/config/default.yaml")[present]) << present;
-    parse(key + ": 1", &unknown);
-    EXPECT_EQ(unknown, std::vector<std::string>{key});
-    EXPECT_NE(unknown_key_message(key).find(present), std::string::npos) << unknown_key_message(key);
   }
 }
 
@@ -290,9 +254,6 @@ TEST(ParseConfig, RefusesWrongTypesByKeyAndValue) {
   expect("block_size: 64.5", "block_size = 64.5 is not an integer");
   expect("block_size: 99999999999", "block_size = 99999999999 is not an integer");
   expect("drop_poor: 1", "drop_poor = 1 is not true or false");
-  expect("validation: paper", "validation = paper is not known any more: it is now called gradient");
-  expect("regularization: noise", "regularization = noise is not known any more: it is now called adaptive");
-  expect("engine: plane", "engine = plane is not known any more: it is now called fourier");
   expect("validation: off", "validation = off is not one of likelihood gradient none");
   expect("validation: false", "validation = false is not one of likelihood gradient none");
   expect("keypoint_detector: [SIFT]", "keypoint_detector = [SIFT] is not a string");

@@ -58,12 +58,6 @@ TEST(Options, KernelLimits) {
   expect_limits(&FilterOptions::noise_to_signal_ratio, "noise_to_signal_ratio", {1e-5, 1.0},
                 {0.99e-5, 1.001, 0.0, -1.0, kNan});
   expect_limits(&FilterOptions::length_factor, "filter_length_factor", {2.0, 8.0}, {1.999, 8.001, kNan});
-  expect_limits(&FilterOptions::smoothing_px, "filter_smoothing", {0.0, 5.0}, {-0.001, 5.001, kNan});
-}
-
-TEST(Options, NoiseLimits) {
-  expect_limits(&NoiseModel::read_noise, "read_noise", {0.0, 50.0}, {-0.001, 50.001, kNan});
-  expect_limits(&NoiseModel::photon_gain, "photon_gain", {0.0, 10.0}, {-0.001, 10.001, kNan});
 }
 
 TEST(Options, TrackerLimits) {

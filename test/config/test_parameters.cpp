@@ -99,7 +99,8 @@ constexpr std::size_t member_count() {
 
 /// Counts the rows and parts of a table and of those of its parts.
 template <typename Options>
-struct Completeness : Visitor {
+struct Completeness {
+  void group(const char*, const char* = "") const {}
   template <typename T>
   void operator()(const Row&, T Options::*member) {
     add(member);

@@ -172,31 +172,31 @@ class MakeBag(unittest.TestCase):
         frames = ("--format", "frames", "--description", self.path("description.yaml"))
         for before, after, expected in (
                 ("kind: 4", "kind: 5", "imu.txt: no row is of the kind '5'; column 1 has 1, 2, 4"),
-                ("kind: 4, ", "", "description.yaml: gyro: 'kind' is missing"),
-                ("kind_column: 1, kind: 4", "kind: 4", "description.yaml: gyro: 'kind_column' is missing"),
+                ("kind: 4, ", "", "description.yaml: gyro.kind is missing"),
+                ("kind_column: 1, kind: 4", "kind: 4", "description.yaml: gyro.kind_column is missing"),
                 ("kind_column: 1, kind: 4", "kind_column: 6, kind: 4", "imu.txt:1: has 5 columns, column 6 is needed"),
                 ("kind_column: 1, kind: 4", "kind_column: 0, kind: 4",
-                 "description.yaml: gyro: kind_column = 0 is outside [1, 100]"),
+                 "description.yaml: gyro.kind_column = 0 is outside [1, 100]"),
                 ("kind: 4, time_column: 2", "kind: 4, time_column: t",
-                 "description.yaml: gyro: 'time_column' = t has another type"),
+                 "description.yaml: gyro.time_column = t is not an integer"),
                 ("column: 2, unit", "column: 3, unit", "images.txt:1: has 2 columns, column 3 is needed"),
-                ("column: 2, unit", "column: -1, unit", "description.yaml: exposures: column = -1 is outside [1, 100]"),
-                ("column: 2, unit", "unit", "exposures: needs either 'column' or 'pattern', and has none"),
+                ("column: 2, unit", "column: -1, unit", "description.yaml: exposures.column = -1 is outside [1, 100]"),
+                ("column: 2, unit", "unit", "exposures.column is missing, and so is pattern: give one of the two"),
                 ("column: 2, unit", "column: 2, pattern: x, unit",
-                 "exposures: needs either 'column' or 'pattern', and has both"),
-                (", acceleration_unit: 2.0", "", "description.yaml: accelerometer: 'acceleration_unit' is missing"),
+                 "exposures.column excludes pattern: give one of the two"),
+                (", acceleration_unit: 2.0", "", "description.yaml: accelerometer.acceleration_unit is missing"),
                 ("kind: 1", "kind: 2", "description.yaml: accelerometer: no sample has the time of a gyroscope"),
                 ("frame_stamps: {file: images/images.txt", "frame_stamps: {file: none.txt",
                  "in/none.txt: cannot be opened"),
                 ("gyro: {file: imu/imu.txt", "gyro: {file: imu/none.txt", "imu/none.txt: cannot be opened"),
                 ("folder: images", "folder: none", "in/none: no such folder"),
                 ("readout_time:", "readout: 0.02\nreadout_time:",
-                 "description.yaml: 'readout' is not among the keys: R_cam_imu, accelerometer, camera, "),
-                ("gyro: {", "gyro: {bias: 1, ", "description.yaml: gyro: 'bias' is not among the keys: file, kind, "),
-                ("accelerometer: {", "accelerometer: {offset: 1, ", "accelerometer: 'offset' is not among the keys: "),
-                ("frame_stamps: {", "frame_stamps: {offset: 1, ", "frame_stamps: 'offset' is not among the keys: "),
-                ("folder: images", "folder: images, first: 1", "images: 'first' is not among the keys: folder, pattern"),
-                ("camera: {", "camera: {shutter: rolling, ", "camera: 'shutter' is not among the keys: cx, cy, ")):
+                 "description.yaml: unknown keys: readout; config/recordings/ has an example"),
+                ("gyro: {", "gyro: {bias: 1, ", "description.yaml: unknown keys: gyro.bias; "),
+                ("accelerometer: {", "accelerometer: {offset: 1, ", "unknown keys: accelerometer.offset; "),
+                ("frame_stamps: {", "frame_stamps: {offset: 1, ", "unknown keys: frame_stamps.offset; "),
+                ("folder: images", "folder: images, first: 1", "unknown keys: images.first; "),
+                ("camera: {", "camera: {shutter: rolling, ", "unknown keys: camera.shutter; ")):
             with self.subTest(after=after):
                 self.make_columns()
                 self.assertEqual(COLUMNS.count(before), 1)
@@ -212,13 +212,13 @@ class MakeBag(unittest.TestCase):
         frames = ("--format", "frames", "--description", self.path("description.yaml"))
         for before, after, expected in (
                 (r"shot(\d+)\.png", r"shot\d+\.png",
-                 r"description.yaml: images: 'pattern' = shot\d+\.png has 0 groups in parentheses instead of 1: "
+                 r"description.yaml: images.pattern = shot\d+\.png has 0 groups in parentheses instead of 1: "
                  "image number. Write other parentheses as (?:...)"),
                 (r"shot(\d+)\.png", r"(shot|snap)(\d+)\.png", "has 2 groups in parentheses instead of 1: image number"),
                 (r"shot(\d+)\.png", r"shot(\d+\.png",
-                 r"description.yaml: images: 'pattern' = shot(\d+\.png is no regular expression: "),
+                 r"description.yaml: images.pattern = shot(\d+\.png is no regular expression: "),
                 (r"frame (\d+) took ([0-9.]+) ms", "took ([0-9.]+) ms",
-                 "description.yaml: exposures: 'pattern' = took ([0-9.]+) ms has 1 groups in parentheses instead of 2: "
+                 "description.yaml: exposures.pattern = took ([0-9.]+) ms has 1 groups in parentheses instead of 2: "
                  "image number, time"),
                 (r"frame (\d+) took ([0-9.]+) ms", r"frame (\d+) took ([0-9.]+) (ms)", "has 3 groups in parentheses"),
                 (r"frame (\d+) took", r"(\w+) \d+ took",
@@ -299,7 +299,7 @@ distortion_coefficients: [-0.28, 0.07, 0.0002, 1.7e-05]
         self.assert_fails("shot13.png: no stamp for image 13 in stamps.txt, which has 12", *frames)
         os.remove(self.path("in/pictures/shot13.png"))
         self.write("description.yaml", FRAMES.replace("readout_time: 0.01", ""))
-        self.assert_fails("'readout_time' is missing", *frames)
+        self.assert_fails("readout_time is missing", *frames)
         self.write("description.yaml", FRAMES.replace("[0, -1, 0, -1,", "[0, -1, 0, 1,"))
         self.assert_fails("R_cam_imu", *frames)
         self.write("description.yaml", FRAMES.replace("fx: 50", "fx: 0"))

@@ -63,8 +63,7 @@ class NumberingEngine : public BlockEngine {
       }
     }
     for (const int block : filtered) {
-      const std::vector<std::uint8_t> result(seams.reach(block).area(), static_cast<std::uint8_t>(block + 1));
-      seams.store(block, result.data(), dst);
+      seams.store(block, cv::Mat(seams.reach(block).size(), CV_8UC1, cv::Scalar(block + 1)), dst);
     }
   }
 

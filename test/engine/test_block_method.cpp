@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <set>
 #include <string>
 #include <vector>
 
@@ -22,6 +21,12 @@ using test::random_image;
 
 constexpr double kAngle_rad = 0.4;  // far from an axis
 constexpr double kSlope = 0.42;
+
+const char* const kZeros = "a kernel of zeros";
+const char* const kSmallRatio = "noise-to-signal ratio too small for the fast methods";
+const char* const kDeepShort = "16 bit and blur below 36 px";
+const char* const kDeepNonuniform = "16 bit and blur at non-uniform speed below 57 px near an axis";
+const char* const kLongShort = "more than 257 taps for blur below 36 px";
 
 /// As a path at non-uniform speed gives it: nobody knows its shape.
 LineKernel without_box(int taps) {
@@ -44,7 +49,7 @@ FilterOptions of_length(double factor) {
 
 /// Kernels that no fast method takes, for one reason each, and the depth of their image.
 struct FallbackCase {
-  FallbackReason reason;
+  std::string reason;
   LineKernel kernel;
   int depth;
   double angle_rad = kAngle_rad;
@@ -53,60 +58,47 @@ struct FallbackCase {
 std::vector<FallbackCase> fallback_cases() {
   LineKernel zero;
   zero.taps.assign(9, 0.0f);
-  return {{FallbackReason::ZERO_KERNEL, zero, CV_8U},
-          {FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO, wiener_kernel(60, with_ratio(0.007)), CV_8U},
-          {FallbackReason::DEEP_SHORT_BLUR, wiener_kernel(35.75, {}), CV_16U},
-          {FallbackReason::DEEP_NONUNIFORM_BLUR, without_box(201), CV_16U, 0.1},
-          {FallbackReason::LONG_SHORT_BLUR, wiener_kernel(33, of_length(8)), CV_8U}};
+  return {{kZeros, zero, CV_8U},
+          {kSmallRatio, wiener_kernel(60, with_ratio(0.007)), CV_8U},
+          {kDeepShort, wiener_kernel(35.75, {}), CV_16U},
+          {kDeepNonuniform, without_box(201), CV_16U, 0.1},
+          {kLongShort, wiener_kernel(33, of_length(8)), CV_8U}};
 }
 
 TEST(FallbackReason, IsGivenForEveryKernelThatNoFastMethodTakes) {
-  const std::vector<FallbackCase> cases = fallback_cases();
-  ASSERT_EQ(static_cast<int>(cases.size()), kFallbackReasons);
-  std::set<std::string> words;
-  for (const FallbackCase& c : cases) {
-    EXPECT_EQ(fallback_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason) << in_words(c.reason);
-    words.insert(in_words(c.reason));
+  for (const FallbackCase& c : fallback_cases()) {
+    EXPECT_EQ(fallback_reason(c.kernel, std::tan(c.angle_rad), c.depth), c.reason);
   }
-  EXPECT_EQ(words.size(), cases.size()) << "reasons have different texts";
-  EXPECT_EQ(words.count(""), 0u);
 }
 
 // The other side of each limit.
 TEST(FallbackReason, IsNotGivenWhereAFastMethodServes) {
-  EXPECT_EQ(fallback_reason(wiener_kernel(60, with_ratio(0.009)), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(fallback_reason(wiener_kernel(36, {}), kSlope, CV_16U), std::nullopt);
-  EXPECT_EQ(fallback_reason(without_box(9), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(60, with_ratio(0.009)), kSlope, CV_8U), "");
+  EXPECT_EQ(fallback_reason(wiener_kernel(36, {}), kSlope, CV_16U), "");
+  EXPECT_EQ(fallback_reason(without_box(9), kSlope, CV_8U), "");
   for (const int depth : {CV_8U, CV_16U}) {
-    EXPECT_EQ(fallback_reason(without_box(145), kSlope, depth), std::nullopt);
-    EXPECT_EQ(fallback_reason(without_box(259), kSlope, depth), std::nullopt);
-    EXPECT_EQ(fallback_reason(without_box(4001), kSlope, depth), std::nullopt);
+    EXPECT_EQ(fallback_reason(without_box(145), kSlope, depth), "");
+    EXPECT_EQ(fallback_reason(without_box(259), kSlope, depth), "");
+    EXPECT_EQ(fallback_reason(without_box(4001), kSlope, depth), "");
   }
-  EXPECT_EQ(fallback_reason(wiener_kernel(32, of_length(8)), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(fallback_reason(wiener_kernel(500, of_length(8)), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(wiener_kernel(32, of_length(8)), kSlope, CV_8U), "");
+  EXPECT_EQ(fallback_reason(wiener_kernel(500, of_length(8)), kSlope, CV_8U), "");
   for (const double extent_px : {1.0, 5.0, 35.0, 36.0, 57.0, 130.0, 500.0}) {
-    EXPECT_EQ(fallback_reason(wiener_kernel(extent_px, {}), kSlope, CV_8U), std::nullopt) << extent_px;
+    EXPECT_EQ(fallback_reason(wiener_kernel(extent_px, {}), kSlope, CV_8U), "") << extent_px;
   }
 }
 
 // Near an axis: not along it, where short tiles serve, nor further off.
 TEST(FallbackReason, IsGivenForDeepNonuniformBlurNearAnAxisAlone) {
   for (const double slope : {0.07, -0.07, 0.14, -0.14}) {
-    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), FallbackReason::DEEP_NONUNIFORM_BLUR) << slope;
-    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_8U), std::nullopt) << slope;
-    EXPECT_EQ(fallback_reason(without_box(229), slope, CV_16U), std::nullopt) << slope << ", 57 px";
-    EXPECT_EQ(fallback_reason(wiener_kernel(40, {}), slope, CV_16U), std::nullopt) << slope << ", even speed";
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), kDeepNonuniform) << slope;
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_8U), "") << slope;
+    EXPECT_EQ(fallback_reason(without_box(229), slope, CV_16U), "") << slope << ", 57 px";
+    EXPECT_EQ(fallback_reason(wiener_kernel(40, {}), slope, CV_16U), "") << slope << ", even speed";
   }
   for (const double slope : {0.0, 0.05, -0.05, 0.16, 1.0}) {
-    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), std::nullopt) << slope;
+    EXPECT_EQ(fallback_reason(without_box(145), slope, CV_16U), "") << slope;
   }
-}
-
-TEST(FallbackReason, NamesItsLimits) {
-  EXPECT_EQ(in_words(FallbackReason::DEEP_SHORT_BLUR), "16 bit and blur below 36 px");
-  EXPECT_EQ(in_words(FallbackReason::DEEP_NONUNIFORM_BLUR),
-            "16 bit and blur at non-uniform speed below 57 px near an axis");
-  EXPECT_EQ(in_words(FallbackReason::LONG_SHORT_BLUR), "more than 257 taps for blur below 36 px");
 }
 
 // A kernel whose taps cancel each other leaves too few bits to each, unless exact taps are enough.
@@ -116,12 +108,12 @@ TEST(FallbackReason, IsTheGainOfAKernelWithoutABox) {
     for (int i = 0; i < taps; ++i) kernel.taps.push_back((i % 2 == 0 ? gain : -gain) / static_cast<float>(taps));
     return kernel;
   };
-  EXPECT_EQ(fallback_reason(alternating(301, 70), kSlope, CV_8U), std::nullopt);
-  EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
-  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_8U), std::nullopt);
+  EXPECT_EQ(fallback_reason(alternating(301, 70), kSlope, CV_8U), "");
+  EXPECT_EQ(fallback_reason(alternating(301, 90), kSlope, CV_8U), kSmallRatio);
+  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_8U), "");
   EXPECT_FALSE(takes_sheared_columns(alternating(201, 90), 0.5, CV_8U));
   EXPECT_TRUE(takes_sheared_columns(alternating(201, 70), 0.5, CV_8U));
-  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
+  EXPECT_EQ(fallback_reason(alternating(201, 90), kSlope, CV_16U), kSmallRatio);
 }
 
 TEST(CpuEngineFallbackCounts, AreCountedByReason) {
@@ -137,7 +129,7 @@ TEST(CpuEngineFallbackCounts, AreCountedByReason) {
       const FallbackCase& c = cases[i / 3];
       if (i % 3 == 1) return {kAngle_rad, i % 2 == 0 ? nullptr : &fast};
       if (c.depth != depth) return {kAngle_rad, &fast};
-      ++expected[in_words(c.reason)];
+      ++expected[c.reason];
       return {c.angle_rad, &c.kernel};
     });
     cv::Mat dst;

@@ -50,7 +50,7 @@ class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
  protected:
   void SetUp() override {
     if (opencl_devices().empty()) GTEST_SKIP() << "there is no OpenCL device";
-    engine_ = std::make_unique<OpenClEngine>("", kThreads, GetParam());
+    engine_ = make_opencl_engine("", kThreads, GetParam());
   }
 
   cv::Mat expected(const cv::Mat& src, const FilterGrid& blocks) {
@@ -206,11 +206,11 @@ class OpenClDeviceTest : public testing::Test {
 };
 
 TEST_F(OpenClDeviceTest, IsChosenByIndexOrPartOfItsName) {
-  const std::string by_index = OpenClEngine("0", kThreads).name();
+  const std::string by_index = make_opencl_engine("0", kThreads)->name();
   EXPECT_EQ(by_index.rfind("opencl (", 0), 0u) << by_index;
   std::string shouted = devices_[0];
   std::transform(shouted.begin(), shouted.end(), shouted.begin(), [](unsigned char c) { return std::toupper(c); });
-  EXPECT_EQ(OpenClEngine(shouted, kThreads).name(), by_index);
+  EXPECT_EQ(make_opencl_engine(shouted, kThreads)->name(), by_index);
   EXPECT_EQ(make_engine("opencl:0")->name(), by_index);
   EXPECT_EQ(make_engine("opencl:" + devices_[0].substr(1))->name(), by_index);
   EXPECT_EQ(make_engine("opencl")->name().rfind("opencl (", 0), 0u);
@@ -219,7 +219,7 @@ TEST_F(OpenClDeviceTest, IsChosenByIndexOrPartOfItsName) {
 TEST_F(OpenClDeviceTest, ListsWhatThereIsWhenNoneFits) {
   for (const std::string& wanted : {std::string("abacus"), std::to_string(devices_.size())}) {
     try {
-      OpenClEngine engine(wanted, kThreads);
+      make_opencl_engine(wanted, kThreads);
       FAIL() << wanted;
     } catch (const DeviceError& error) {
       EXPECT_NE(std::string(error.what()).find(wanted), std::string::npos) << error.what();

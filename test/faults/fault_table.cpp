@@ -253,13 +253,14 @@ class Table {
       left = !left;
       cv::Mat used(size, CV_8UC1, cv::Scalar(0));
       used.colRange(left ? 0 : size.width / 2, left ? size.width / 2 : size.width).setTo(255);
-      return to_mono_image(used, {});
+      return to_image(used, {}, "mono8");
     };
     one("covers the other half, at 2 Hz", "mask", with_mask(half), options_);
     reported("of another size", "mask",
-             with_mask([size] { return to_mono_image(cv::Mat(size / 2, CV_8UC1, cv::Scalar(255)), {}); }), "mask size");
+             with_mask([size] { return to_image(cv::Mat(size / 2, CV_8UC1, cv::Scalar(255)), {}, "mono8"); }),
+             "mask size");
     reported("in colour", "mask",
-             with_mask([size] { return to_bgr_image(cv::Mat(size, CV_8UC3, cv::Scalar::all(255)), {}); }),
+             with_mask([size] { return to_image(cv::Mat(size, CV_8UC3, cv::Scalar::all(255)), {}, "bgr8"); }),
              "mask topic");
     constexpr std::size_t kFramesOfAKind = 7;
     one("size changes", "image", change_sizes(all, kFramesOfAKind), options_);

@@ -64,19 +64,14 @@ Recording::Recording(const std::string& scene_path, double seconds) {
     const sim::Frame frame = simulator.frame(i);
     const TimeNs at_ns = simulator.exposure(i).frame().end_ns;
     header.stamp = to_ros_time(frame.stamp_ns);
-    Exposure exposure;
-    exposure.header = header;
-    exposure.exposure_time = bag_duration(frame.timing.exposure_ns);
-    exposure.readout_time = bag_duration(frame.timing.readout_ns);
+    const Exposure exposure = exposure_message(header, frame.timing.exposure_ns, frame.timing.readout_ns);
     info.header = header;
     const auto index = static_cast<std::size_t>(i);
     deliveries_.push_back({at_ns, at_ns, ExposureConstPtr(boost::make_shared<Exposure>(exposure)), index});
     deliveries_.push_back(
         {at_ns, at_ns, sensor_msgs::CameraInfoConstPtr(boost::make_shared<sensor_msgs::CameraInfo>(info)), index});
-    deliveries_.push_back({at_ns, at_ns,
-                           sensor_msgs::ImageConstPtr(boost::make_shared<sensor_msgs::Image>(
-                               image_message(header, frame.image, simulated.camera.encoding))),
-                           index});
+    deliveries_.push_back(
+        {at_ns, at_ns, sensor_msgs::ImageConstPtr(to_image(frame.image, header, simulated.camera.encoding)), index});
     center_extents_px_.push_back(simulator.truth_displacement(i, {center_x, center_y}).norm());
   }
   std::stable_sort(deliveries_.begin(), deliveries_.end(),

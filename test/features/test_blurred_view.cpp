@@ -53,6 +53,11 @@ Eigen::Vector2d rolled(const Eigen::Vector2d& pixel_px, double seconds) {
   return center_px + Eigen::Rotation2Dd(-kRollRadS * seconds) * (pixel_px - center_px);
 }
 
+PredictedPoint predicted_from(const BlurredView& before, const BlurredView& now, const CameraMotion& motion) {
+  const Camera lens = camera();
+  return predict_point(kPixel, NearbyRays(lens, kPixel, lens.ray(kPixel)), before, now, motion);
+}
+
 class BlurredViewTest : public testing::Test {
  protected:
   const cv::Mat image_ = cv::Mat(kSize, CV_8UC1, cv::Scalar(90));
@@ -78,7 +83,7 @@ TEST_F(BlurredViewTest, PixelsAtHalfTheSizeAreMeansOfFour) {
 
 TEST_F(BlurredViewTest, PathIsThatOfRotationAndResidualVelocity) {
   const BlurredView view(image_, exposure(0), &field_);
-  const BlurredPoint point = view.point_at(kPixel, camera(), rolling());
+  const BlurredPoint point = view.point_at(kPixel, camera().ray(kPixel), camera(), rolling());
   EXPECT_EQ(point.place_px, kPixel);
   EXPECT_EQ(point.noise, 2);
   for (int k = 0; k < kPathInstants; ++k) {
@@ -91,11 +96,11 @@ TEST_F(BlurredViewTest, PathIsThatOfRotationAndResidualVelocity) {
 TEST_F(BlurredViewTest, WhatIsNotKnownOfTheMotionCountsAsNone) {
   const BlurredView unknown(image_, exposure(0), nullptr), moving(image_, exposure(0), &field_);
   const RotationTrack nothing({}, GyroOptions{}, Eigen::Matrix3d::Identity());
-  for (const Eigen::Vector2f& place_px : unknown.point_at(kPixel, camera(), nothing).path_px) {
+  for (const Eigen::Vector2f& place_px : unknown.point_at(kPixel, camera().ray(kPixel), camera(), nothing).path_px) {
     EXPECT_TRUE(place_px.isZero());
   }
   EXPECT_FALSE(unknown.residual_at(kPixel).is_known);
-  const BlurredPoint by_images = moving.point_at(kPixel, camera(), nothing);
+  const BlurredPoint by_images = moving.point_at(kPixel, camera().ray(kPixel), camera(), nothing);
   EXPECT_LT((by_images.path_px.back().cast<double>() - 0.5 * to_seconds(kExposureNs) * kVelocityPxS).norm(), 1e-4);
 }
 
@@ -111,16 +116,15 @@ TEST_F(BlurredViewTest, ResidualVelocitiesFillGapsFromTheirNeighbours) {
 TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
   const BlurredView before(image_, exposure(0), &field_), now(image_, exposure(1), &field_);
   const double seconds = to_seconds(kPeriodNs);
-  const PredictedPoint predicted = predict_point(kPixel, before, now, camera(), rolling());
+  const PredictedPoint predicted = predicted_from(before, now, rolling());
   EXPECT_TRUE(predicted.by_residual);
   EXPECT_LT((predicted.place_px - rolled(kPixel, seconds) - seconds * kVelocityPxS).norm(), 1e-3);
   EXPECT_LT((predicted.map - Eigen::Rotation2Dd(-kRollRadS * seconds).toRotationMatrix()).norm(), 1e-4);
 
   const BlurredView unknown(image_, exposure(1), nullptr);
-  EXPECT_FALSE(
-      predict_point(kPixel, BlurredView(image_, exposure(0), nullptr), unknown, camera(), rolling()).by_residual);
-  const PredictedPoint still = predict_point(kPixel, BlurredView(image_, exposure(0), nullptr), unknown, camera(),
-                                             RotationTrack({}, GyroOptions{}, Eigen::Matrix3d::Identity()));
+  EXPECT_FALSE(predicted_from(BlurredView(image_, exposure(0), nullptr), unknown, rolling()).by_residual);
+  const PredictedPoint still = predicted_from(BlurredView(image_, exposure(0), nullptr), unknown,
+                                              RotationTrack({}, GyroOptions{}, Eigen::Matrix3d::Identity()));
   EXPECT_EQ(still.place_px, kPixel);
   EXPECT_LT((still.map - Eigen::Matrix2d::Identity()).norm(), 1e-9);
 }

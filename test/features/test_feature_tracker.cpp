@@ -340,7 +340,7 @@ TEST_F(FeatureTrackerTest, RepeatedPictureHasTheTracksOfTheFirstTime) {
     if (i != 5) {
       EXPECT_TRUE(same(again.track(image, simulator_.camera(), motion_, exposure), expected)) << i;
     }
-    EXPECT_TRUE(same(again.track_again(image, simulator_.camera(), motion_, exposure), expected)) << i;
+    EXPECT_TRUE(same(again.track(image, simulator_.camera(), motion_, exposure, nullptr, true), expected)) << i;
   }
 }
 

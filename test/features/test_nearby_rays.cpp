@@ -29,7 +29,7 @@ class NearbyRaysTest : public testing::TestWithParam<std::pair<const char*, std:
 TEST_P(NearbyRaysTest, AreThoseOfTheCamera) {
   const Camera lens = camera();
   for (const Eigen::Vector2d& at_px : {Eigen::Vector2d(370, 250), {30, 440}, {700, 20}}) {
-    const NearbyRays rays(lens, at_px);
+    const NearbyRays rays(lens, at_px, lens.ray(at_px));
     for (const Eigen::Vector2d& away_px : {Eigen::Vector2d(0, 0), {0.5, -1}, {-7, 3}, {25, 18}, {-300, 100}}) {
       const Eigen::Vector2d pixel_px = at_px + away_px;
       const Eigen::Vector3d expected = lens.ray(pixel_px), ray = rays.ray(pixel_px);

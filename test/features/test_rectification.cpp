@@ -1,4 +1,4 @@
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -6,7 +6,6 @@
 #include <numeric>
 #include <string>
 #include <thread>
-#include <utility>
 
 #include <gtest/gtest.h>
 #include <Eigen/Dense>
@@ -91,10 +90,6 @@ Eigen::VectorXd best_taps(const std::vector<double>& blur, double share, const F
   }
   Eigen::VectorXd g = Eigen::VectorXd::Zero(2 * n - 1);
   g[n - 1] = 1;
-  for (int i = 0; options.smoothing_px > 0 && i < 2 * n - 1; ++i) {
-    const double scale = std::sqrt(0.5) / options.smoothing_px;
-    g[i] = 0.5 * (std::erf((i - n + 1.5) * scale) - std::erf((i - n + 0.5) * scale));
-  }
   Eigen::MatrixXd differences = Eigen::MatrixXd::Zero(n + 1, n);  // the kernel is 0 before and after its taps
   for (int i = 0; i < n; ++i) {
     differences(i, i) = 1;
@@ -122,21 +117,18 @@ void expect_taps(const LineKernel& kernel, const Eigen::VectorXd& expected, cons
 TEST(WienerKernel, IsTheBestOfItsLength) {
   for (const double ratio : {0.001, 0.01, 0.2}) {
     for (const double length_factor : {2.0, 4.0, 8.0}) {
-      for (const double smoothing_px : {0.0, 0.3, 1.7}) {
-        FilterOptions options;
-        options.noise_to_signal_ratio = ratio;
-        options.length_factor = length_factor;
-        options.smoothing_px = smoothing_px;
-        const std::string what = std::to_string(ratio) + ' ' + std::to_string(length_factor) + ' ';
-        for (const double extent_px : {1.0, 2.0, 5.4, 27.0, 60.0}) {
-          const LineKernel kernel = wiener_kernel(extent_px, options);
-          const std::vector<double> box = box_blur_kernel(extent_px, static_cast<int>(kernel.taps.size()));
-          expect_taps(kernel, best_taps(box, spectral_share(extent_px), options), what + std::to_string(extent_px));
-        }
-        const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
-        const std::vector<double> blur = path_blur_kernel(kSpeedsUp, static_cast<int>(kernel.taps.size()));
-        expect_taps(kernel, best_taps(blur, spectral_share(extent_of(kSpeedsUp)), options), what + "nonuniform");
+      FilterOptions options;
+      options.noise_to_signal_ratio = ratio;
+      options.length_factor = length_factor;
+      const std::string what = std::to_string(ratio) + ' ' + std::to_string(length_factor) + ' ';
+      for (const double extent_px : {1.0, 2.0, 5.4, 27.0, 60.0}) {
+        const LineKernel kernel = wiener_kernel(extent_px, options);
+        const std::vector<double> box = box_blur_kernel(extent_px, static_cast<int>(kernel.taps.size()));
+        expect_taps(kernel, best_taps(box, spectral_share(extent_px), options), what + std::to_string(extent_px));
       }
+      const LineKernel kernel = wiener_kernel(kSpeedsUp, options);
+      const std::vector<double> blur = path_blur_kernel(kSpeedsUp, static_cast<int>(kernel.taps.size()));
+      expect_taps(kernel, best_taps(blur, spectral_share(extent_of(kSpeedsUp)), options), what + "nonuniform");
     }
   }
 }
@@ -145,22 +137,19 @@ TEST(WienerKernel, IsTheBestOfItsLength) {
 TEST(WienerKernel, OfAUniformPathIsThatOfItsBox) {
   for (const double extent_px : {2.0, 5.25, 24.0, 96.25, 250.0}) {
     for (const double length_factor : {2.0, 4.0, 8.0}) {
-      for (const double smoothing_px : {0.0, 1.5}) {
-        FilterOptions options;
-        options.length_factor = length_factor;
-        options.smoothing_px = smoothing_px;
-        Path1d path_px;
-        for (int k = 0; k < kPathInstants; ++k) path_px[k] = static_cast<float>((k / 8.0 - 0.5) * extent_px);
-        const LineKernel of_box = wiener_kernel(extent_px, options);
-        std::vector<float> of_path = wiener_kernel(path_px, options).taps;
-        // At its shortest a path's kernel has room for the path, and 3 px.
-        const auto more = static_cast<std::ptrdiff_t>(of_path.size() - of_box.taps.size());
-        if (more > 0) continue;
-        ASSERT_EQ(more, 0);
-        const Eigen::VectorXd expected =
-            Eigen::Map<const Eigen::VectorXf>(of_path.data(), static_cast<Eigen::Index>(of_path.size())).cast<double>();
-        expect_taps(of_box, expected, std::to_string(extent_px) + ' ' + std::to_string(length_factor));
-      }
+      FilterOptions options;
+      options.length_factor = length_factor;
+      Path1d path_px;
+      for (int k = 0; k < kPathInstants; ++k) path_px[k] = static_cast<float>((k / 8.0 - 0.5) * extent_px);
+      const LineKernel of_box = wiener_kernel(extent_px, options);
+      std::vector<float> of_path = wiener_kernel(path_px, options).taps;
+      // At its shortest a path's kernel has room for the path, and 3 px.
+      const auto more = static_cast<std::ptrdiff_t>(of_path.size() - of_box.taps.size());
+      if (more > 0) continue;
+      ASSERT_EQ(more, 0);
+      const Eigen::VectorXd expected =
+          Eigen::Map<const Eigen::VectorXf>(of_path.data(), static_cast<Eigen::Index>(of_path.size())).cast<double>();
+      expect_taps(of_box, expected, std::to_string(extent_px) + ' ' + std::to_string(length_factor));
     }
   }
 }
@@ -185,28 +174,6 @@ TEST(WienerKernel, IsTheFilterOfItsNoiseWhereThatIsShort) {
     double tap = 0;
     for (int k = 0; k < size; ++k) tap += filter[k] * std::cos(2 * CV_PI * k * i / size) / size;
     EXPECT_NEAR(kernel.taps[radius + i], tap / filter[0], 1e-4) << i;
-  }
-}
-
-TEST(FourierKernel, IsSmoothedByAGaussian) {
-  // The second has more of a Gaussian than of an inverse.
-  for (const auto& [extent_px, smoothing_px] : {std::pair(20.0, 1.7), std::pair(3.0, 5.0)}) {
-    FilterOptions options;
-    options.regularization = Regularization::PAPER;
-    options.smoothing_px = smoothing_px;
-    const LineKernel kernel = wiener_kernel(extent_px, options);
-    EXPECT_EQ(kernel.box_extent_px, 0) << "no jumps are left";
-    const int n = static_cast<int>(kernel.taps.size());
-    EXPECT_GE(n, options.length_factor * extent_px + 6 * smoothing_px);
-    if (smoothing_px > extent_px) {
-      EXPECT_LT(std::abs(kernel.taps.front()), 0.02 * kernel.taps[n / 2]);
-    }
-    const std::vector<double> box = box_blur_kernel(extent_px, n);
-    for (int k = 0; k <= n / 2; ++k) {
-      const double x = 2 * CV_PI * smoothing_px * k / n, H = transform(box, k);
-      const double inverse = H * (1 + options.noise_to_signal_ratio) / (H * H + options.noise_to_signal_ratio);
-      EXPECT_NEAR(transform(kernel.taps, k), std::exp(-0.5 * x * x) * inverse, 1e-4) << extent_px << ' ' << k;
-    }
   }
 }
 

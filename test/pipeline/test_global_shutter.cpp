@@ -32,7 +32,7 @@ RowExposure exposure(TimeNs readout_ns) {
 }
 
 /// Nothing is taken for blurred, nor to be moved but by the gyroscope: images are drawn sharp.
-PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = false) {
+PipelineOptions options(bool deblurs = false) {
   PipelineOptions o;
   o.optical_flow = false;
   o.validation.rule = ValidationRule::NONE;
@@ -40,7 +40,6 @@ PipelineOptions options(ImageBorder border = ImageBorder::BLACK, bool deblurs = 
     o.blur_field.min_extent_px = 20;
     o.blur_field.max_extent_px = 30;
   }
-  o.global_shutter_border = border;
   return o;
 }
 
@@ -106,7 +105,7 @@ TEST(PipelineGlobalShutter, ALeaningEdgeStandsUpright) {
 
 TEST(PipelineGlobalShutter, IsTheDeblurredImageMoved) {
   const cv::Mat blurred = test::expose(test::blur_along_line(test::textured_image(kWidth, kHeight, 31), 0, 12), 1.0, 3);
-  Pipeline pipeline(options(ImageBorder::BLACK, true));
+  Pipeline pipeline(options(true));
   pipeline.set_calibration(test::small_camera());
   PipelineRequest request;
   request.keypoints = false;
@@ -119,8 +118,7 @@ TEST(PipelineGlobalShutter, IsTheDeblurredImageMoved) {
   EXPECT_LT(cv::norm(result.global_shutter.row(y), result.image.row(y), cv::NORM_L1) / kWidth, 1);
   EXPECT_GT(cv::norm(result.global_shutter.row(y), blurred.row(y), cv::NORM_L1) / kWidth, 5);
   // Nobody need ask for the image as well.
-  const PipelineResult alone =
-      process(blurred, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(ImageBorder::BLACK, true));
+  const PipelineResult alone = process(blurred, PixelLayout::GRAY, pan(kRateRadS), exposure(kReadoutNs), options(true));
   EXPECT_EQ(cv::norm(alone.global_shutter, result.global_shutter, cv::NORM_INF), 0);
 }
 
@@ -128,8 +126,7 @@ TEST(PipelineGlobalShutter, AGlobalShutterIsUnchanged) {
   const cv::Mat image = leaning_edge(CV_8U);
   const PipelineResult sharp = process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0));
   EXPECT_EQ(sharp.global_shutter.data, image.data);
-  const PipelineResult deblurred =
-      process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0), options(ImageBorder::BLACK, true));
+  const PipelineResult deblurred = process(image, PixelLayout::GRAY, pan(kRateRadS), exposure(0), options(true));
   ASSERT_FALSE(deblurred.image.empty());
   EXPECT_EQ(deblurred.global_shutter.data, deblurred.image.data);
   const PipelineResult mosaic = process(image, PixelLayout::BAYER_RGGB, pan(kRateRadS), exposure(0));
@@ -169,18 +166,14 @@ TEST(PipelineGlobalShutter, AMosaicBecomesColours) {
   }
 }
 
-TEST(PipelineGlobalShutter, ColoursKeepTheirLayoutAndTheBorderIsAsChosen) {
+TEST(PipelineGlobalShutter, ColoursKeepTheirLayoutAndTheBorderIsBlack) {
   cv::Mat color;
   cv::cvtColor(leaning_edge(CV_8U), color, cv::COLOR_GRAY2RGBA);
-  const PipelineResult black = process(color, PixelLayout::RGBA, pan(kRateRadS), exposure(kReadoutNs));
-  EXPECT_EQ(black.global_shutter.type(), CV_8UC4);
-  const PipelineResult replicated =
-      process(color, PixelLayout::RGBA, pan(kRateRadS), exposure(kReadoutNs), options(ImageBorder::REPLICATE));
+  const PipelineResult moved = process(color, PixelLayout::RGBA, pan(kRateRadS), exposure(kReadoutNs));
+  EXPECT_EQ(moved.global_shutter.type(), CV_8UC4);
   // The first row moves to the left by six pixels, the last one to the right.
-  EXPECT_EQ(black.global_shutter.at<cv::Vec4b>(0, kWidth - 1), cv::Vec4b(0, 0, 0, 0));
-  EXPECT_EQ(replicated.global_shutter.at<cv::Vec4b>(0, kWidth - 1), color.at<cv::Vec4b>(0, kWidth - 1));
-  EXPECT_EQ(black.global_shutter.at<cv::Vec4b>(kHeight - 1, 0), cv::Vec4b(0, 0, 0, 0));
-  EXPECT_EQ(replicated.global_shutter.at<cv::Vec4b>(kHeight - 1, 0), color.at<cv::Vec4b>(kHeight - 1, 0));
+  EXPECT_EQ(moved.global_shutter.at<cv::Vec4b>(0, kWidth - 1), cv::Vec4b(0, 0, 0, 0));
+  EXPECT_EQ(moved.global_shutter.at<cv::Vec4b>(kHeight - 1, 0), cv::Vec4b(0, 0, 0, 0));
 }
 
 TEST(PipelineGlobalShutter, WhatCannotBeMovedIsNone) {

@@ -204,7 +204,6 @@ TEST_F(DiagnosticReportTest, ConfigurationThatCannotBeUsedIsAnError) {
 TEST_F(DiagnosticReportTest, GyroscopeBufferAndItsAge) {
   EXPECT_EQ(fill()["gyroscope buffer [s]"], "empty");
   node_ns_ = 12'500'000'000;
-  statistics_.newest_imu_ns = 12'000'000'000;
   statistics_.gyro_available = {10'000'000'000, 12'000'000'000};
   auto values = fill();
   EXPECT_EQ(values["gyroscope buffer [s]"], "2.000");
@@ -319,7 +318,7 @@ TEST_F(DiagnosticReportTest, HealthyStatusesHaveAtMost15Values) {
   statistics_.frames_in = statistics_.frames_out = 1000;
   statistics_.waiting = 1;
   statistics_.imu_accepted = 10000;
-  statistics_.newest_imu_ns = 12'000'000'000;
+  statistics_.gyro_available = {10'000'000'000, 12'000'000'000};
   statistics_.engine = "cpu";
   statistics_.blocks_from_images = 5;
   statistics_.fallback_counts = {{"gain", 7}, {"length", 2}, {"noise", 1}};

@@ -157,19 +157,7 @@ TEST(ExposureAdapter, AutoRecognisesMessagesByTheirType) {
   EXPECT_EQ(of(R"({"actual_exposure":166,"auto_exposure":0,"saturation":64})")->exposure_ns, 16'600'000);
   EXPECT_FALSE(of(R"({"actual_exposure":166,"auto_exposure":1,"saturation":64})")) << "it is the manual value";
 
-  Exposure message;
-  message.header.stamp = to_ros_time(kStamp);
-  message.exposure_time.fromNSec(17 * kMs);
-  Bytes bytes;
-  bytes.data.resize(ros::serialization::serializationLength(message));
-  ros::serialization::OStream stream(bytes.data.data(), static_cast<std::uint32_t>(bytes.data.size()));
-  ros::serialization::serialize(stream, message);
-  const std::string own = ros::message_traits::datatype<Exposure>();
-  const auto exposure = read(source, own, ros::message_traits::definition<Exposure>(), bytes);
-  EXPECT_EQ(exposure->exposure_ns, 17 * kMs);
-  EXPECT_EQ(exposure->stamp_ns, kStamp);
-
-  const std::string error = error_of(source, "a/B", kSequence, bytes);
+  const std::string error = error_of(source, "a/B", kSequence, Bytes());
   for (const std::string part :
        {"auto recognises gyro_deblur/Exposure and realsense2_camera/Metadata", "a/B", "exposure_source"}) {
     EXPECT_NE(error.find(part), std::string::npos) << error;

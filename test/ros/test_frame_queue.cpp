@@ -42,7 +42,7 @@ TEST(FrameQueue, PassingThroughKeepsEarlierReasons) {
   bad.pass_through(PassThroughReason::BAD_IMAGE, "empty");
   queue.push(bad);
   queue.push(frame(2));
-  queue.pass_through_all(PassThroughReason::TIME_JUMP, "back");
+  queue.pass_through_old(ShownBy::ITSELF, PassThroughReason::TIME_JUMP, "back");
   EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::BAD_IMAGE);
   EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::TIME_JUMP);
 }
@@ -65,7 +65,7 @@ TEST(FrameQueue, FrameThatIsInWorkIsNotPassedThrough) {
   queue.push(frame(2));
   EXPECT_EQ(queue.front().pass_through_reason, PassThroughReason::NONE);
   queue.push(frame(3));
-  queue.pass_through_all(PassThroughReason::TIME_JUMP, "back");
+  queue.pass_through_old(ShownBy::ITSELF, PassThroughReason::TIME_JUMP, "back");
   EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::NONE);
   EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::OVERLOAD);
   EXPECT_EQ(queue.pop().pass_through_reason, PassThroughReason::TIME_JUMP);

@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 #include <sensor_msgs/image_encodings.h>
 
+#include "axial_difference.hpp"
 #include "engine/engine.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "processor_test.hpp"

@@ -233,13 +233,13 @@ TEST_F(UnknownCalibration, IsLearnedAndUsed) {
     EXPECT_EQ(logged(std::string(key) + " is estimated from the images and used"), 1U);
   }
   EXPECT_NE(row("time_offset").text.find("0.03"), std::string::npos) << row("time_offset").text;
-  EXPECT_LT((processor_->bias_rad_s() - RotatingCamera::bias_rad_s()).norm(), 0.02);
+  EXPECT_LT((processor_->statistics().bias_rad_s - RotatingCamera::bias_rad_s()).norm(), 0.02);
   EXPECT_EQ(logged("contradict"), 0U);
 
   processor_->reset_calibration();
   processor_->advance([](FrameOutput&&) { return true; });
   EXPECT_FALSE(row("R_cam_imu").by_images) << "forgotten";
-  EXPECT_EQ(processor_->bias_rad_s(), Eigen::Vector3d(0, 0, 0));
+  EXPECT_EQ(processor_->statistics().bias_rad_s, Eigen::Vector3d(0, 0, 0));
 }
 
 TEST_F(UnknownCalibration, IsLearnedAgainEquallyFromTheSameMessages) {
@@ -315,7 +315,7 @@ TEST_F(UnknownCalibration, ThatIsGivenWronglyIsNamedWithBothValuesAndKept) {
     EXPECT_FALSE(row(key).by_images) << "what is given is never replaced";
     EXPECT_EQ(logged(std::string(key) + " (parameter) contradicts"), 1U);
   }
-  EXPECT_EQ(processor_->bias_rad_s(), config_.gyro.bias_rad_s);
+  EXPECT_EQ(processor_->statistics().bias_rad_s, config_.gyro.bias_rad_s);
   // Corrected while running, as a user does.
   config_.R_cam_imu = RotatingCamera::R_cam_imu();
   processor_->set_config(config_);

@@ -13,8 +13,9 @@
 #include <yaml-cpp/yaml.h>
 #include <opencv2/imgproc.hpp>
 
+#include "axial_difference.hpp"
 #include "base/median.hpp"
-#include "features/rectification.hpp"
+#include "features/point_motion.hpp"
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/keypoints.hpp"
 #include "gyro_deblur/pipeline.hpp"
@@ -130,7 +131,8 @@ Errors measure(const Simulator& simulator, const Signs& signs) {
       extents.push_back(std::abs(static_cast<double>(blur.extent_px) - truth.norm()));
       truth_extents.push_back(truth.norm());
       if (truth.norm() >= kMinExtentForAnglePx) {
-        angles.push_back(axial_difference(static_cast<double>(blur.angle_rad), axial_angle(truth.x(), truth.y())));
+        angles.push_back(
+            test::axial_difference(static_cast<double>(blur.angle_rad), axial_angle(truth.x(), truth.y())));
       }
     }
     std::vector<Eigen::Vector2d> points;

@@ -68,9 +68,7 @@ struct FlightTiming {
 /// Renders, tracks and estimates, from nothing but the intrinsics.
 inline FlightTiming calibrate_flight(const FlightCase& c, const std::string& folder) {
   sim::Simulator simulator(flight_scene(c, folder));
-  FrameTrackerOptions options;
-  options.max_points = 100;  // as calibrate
-  FrameTracker tracker(options);
+  FrameTracker tracker(100);  // as calibrate
   for (int i = 0; i < simulator.frames(); ++i) {
     const sim::Frame frame = simulator.frame(i);
     tracker.add({frame.stamp_ns, frame.timing.exposure_ns}, frame.image);

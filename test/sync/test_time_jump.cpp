@@ -96,7 +96,7 @@ TEST(EpochCounter, StepBackThatWasMadeUpForIsForgotten) {
   EXPECT_EQ(counter.next(200), 0);
   EXPECT_EQ(counter.next(150), 1) << "out of order";
   EXPECT_EQ(counter.next(300), 1);
-  EXPECT_EQ(counter.reset(), 2) << "nothing that has come is of the new epoch";
+  EXPECT_EQ(counter.reset(ShownBy::OTHER), 2) << "nothing that has come is of the new epoch";
 }
 
 TEST(EpochCounter, ResetKeepsWhatCameAfterAStepBack) {
@@ -104,25 +104,25 @@ TEST(EpochCounter, ResetKeepsWhatCameAfterAStepBack) {
   EXPECT_EQ(counter.next(100), 0);
   EXPECT_EQ(counter.next(200), 0);
   EXPECT_EQ(counter.next(100), 1);
-  EXPECT_EQ(counter.reset(), 1);
+  EXPECT_EQ(counter.reset(ShownBy::OTHER), 1);
   EXPECT_EQ(counter.next(200), 1);
   EXPECT_EQ(counter.next(50), 2);
-  EXPECT_EQ(counter.reset(), 2);
+  EXPECT_EQ(counter.reset(ShownBy::OTHER), 2);
 }
 
 TEST(EpochCounter, ResetWithoutAStepBackKeepsNothing) {
   EpochCounter counter;
   EXPECT_EQ(counter.next(100), 0);
-  EXPECT_EQ(counter.reset(), 1);
+  EXPECT_EQ(counter.reset(ShownBy::OTHER), 1);
   EXPECT_EQ(counter.next(50), 1) << "the step belongs to that reset";
-  EXPECT_EQ(counter.reset(), 2) << "and does not speak for the next one";
+  EXPECT_EQ(counter.reset(ShownBy::OTHER), 2) << "and does not speak for the next one";
 }
 
 TEST(EpochCounter, OwnMessageBeginsTheNewEpoch) {
   EpochCounter counter;
   EXPECT_EQ(counter.next(100), 0);
   EXPECT_EQ(counter.next(90), 1);
-  EXPECT_EQ(counter.begin(), 2);
+  EXPECT_EQ(counter.reset(ShownBy::ITSELF), 2);
   EXPECT_EQ(counter.next(0), 2);
 }
 

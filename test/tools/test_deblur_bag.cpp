@@ -448,7 +448,7 @@ TEST_F(DeblurBagTest, MaskOfTheBagIsUsed) {
   {
     rosbag::Bag bag(path("in.bag"), rosbag::bagmode::Append);
     const TimeNs recorded_ns = kStart + kFramePeriod - kMs;  // after the first image
-    bag.write("/cam/mask", to_ros_time(recorded_ns), *to_mono_image(used, std_msgs::Header()));
+    bag.write("/cam/mask", to_ros_time(recorded_ns), *to_image(used, std_msgs::Header(), "mono8"));
   }
   const auto masked_parts = [&](const std::vector<std::string>& options) {
     const ProgramResult result = run(options);

@@ -14,7 +14,6 @@
 
 #include <gtest/gtest.h>
 
-#include "tools/frame_report.hpp"
 #include "tools/output_file.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"

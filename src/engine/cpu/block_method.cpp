@@ -70,34 +70,22 @@ bool gain_is_small(const LineKernel& kernel) {
 
 }  // namespace
 
-std::string in_words(FallbackReason reason) {
-  const std::string too_short = "blur below " + std::to_string(kMinTwoScaleExtentPx) + " px";
-  switch (reason) {
-    case FallbackReason::ZERO_KERNEL:
-      return "a kernel of zeros";
-    case FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO:
-      return "noise-to-signal ratio too small for the fast methods";
-    case FallbackReason::DEEP_SHORT_BLUR:
-      return "16 bit and " + too_short;
-    case FallbackReason::DEEP_NONUNIFORM_BLUR:
-      return "16 bit and blur at non-uniform speed below " +
-             std::to_string(static_cast<int>(kMinTwoScaleExtentNearAxisPx)) + " px near an axis";
-    case FallbackReason::LONG_SHORT_BLUR:
-      return "more than " + std::to_string(2 * kMaxExactRadius + 1) + " taps for " + too_short;
-  }
-  return "";
-}
-
-std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth) {
+std::string fallback_reason(const LineKernel& kernel, double slope, int depth) {
   const bool is_zero = std::all_of(kernel.taps.begin(), kernel.taps.end(), [](float tap) { return tap == 0; });
-  if (is_zero) return FallbackReason::ZERO_KERNEL;
-  if (has_box(kernel) && !gain_is_small(kernel)) return FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO;
-  if (exact_is_possible(kernel, depth)) return std::nullopt;
+  if (is_zero) return "a kernel of zeros";  // nothing to scale fixed-point weights by
+  // Weights are so large that they cancel each other too well.
+  const char* small_ratio = "noise-to-signal ratio too small for the fast methods";
+  if (has_box(kernel) && !gain_is_small(kernel)) return small_ratio;
+  if (exact_is_possible(kernel, depth)) return {};
   if (extent_of(kernel) < kMinTwoScaleExtentPx) {
-    return depth == CV_8U ? FallbackReason::LONG_SHORT_BLUR : FallbackReason::DEEP_SHORT_BLUR;
+    const std::string too_many = "more than " + std::to_string(2 * kMaxExactRadius + 1) + " taps for ";
+    return (depth == CV_8U ? too_many : "16 bit and ") + "blur below " + std::to_string(kMinTwoScaleExtentPx) + " px";
   }
-  if (depth == CV_16U && peaks_show(kernel, slope)) return FallbackReason::DEEP_NONUNIFORM_BLUR;
-  return gain_is_small(kernel) ? std::nullopt : std::optional(FallbackReason::SMALL_NOISE_TO_SIGNAL_RATIO);
+  if (depth == CV_16U && peaks_show(kernel, slope)) {
+    return "16 bit and blur at non-uniform speed below " +
+           std::to_string(static_cast<int>(kMinTwoScaleExtentNearAxisPx)) + " px near an axis";
+  }
+  return gain_is_small(kernel) ? "" : small_ratio;
 }
 
 bool takes_sheared_columns(const LineKernel& kernel, double slope, int depth) {

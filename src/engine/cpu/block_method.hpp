@@ -3,30 +3,16 @@
 // (TwoScaleWeights), and any other one its taps.
 #pragma once
 
-#include <optional>
 #include <string>
 
 #include "inverse/filter_bank.hpp"
 
 namespace gyro_deblur {
 
-/// Why a block is left to the float engine.
-enum class FallbackReason {
-  ZERO_KERNEL,                  ///< nothing to scale fixed-point weights by
-  SMALL_NOISE_TO_SIGNAL_RATIO,  ///< weights so large that they cancel each other too well
-  DEEP_SHORT_BLUR,              ///< exact taps are for 8 bit, and the blur is too short for sheared columns
-  DEEP_NONUNIFORM_BLUR,         ///< exact taps are for 8 bit, and sheared columns near an axis are not close enough
-  LONG_SHORT_BLUR               ///< too many taps, and the blur is too short for sheared columns
-};
-constexpr int kFallbackReasons = 5;
-
-/// In words, for diagnostics.
-std::string in_words(FallbackReason reason);
-
-/// Nothing where a fast method serves.
+/// Why a block is left to the float engine, for diagnostics; empty where a fast method serves.
 /// @param slope  of the line along its major axis, [-1, 1]
 /// @param depth  CV_8U or CV_16U
-std::optional<FallbackReason> fallback_reason(const LineKernel& kernel, double slope, int depth);
+std::string fallback_reason(const LineKernel& kernel, double slope, int depth);
 
 /// Where a fast method serves: whether it is sheared columns rather than exact taps.
 bool takes_sheared_columns(const LineKernel& kernel, double slope, int depth);

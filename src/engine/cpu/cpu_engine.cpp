@@ -34,20 +34,15 @@ CpuEngine::CpuEngine(int threads, const BlockSimd& kernels)
 
 std::string CpuEngine::name() const { return std::string("cpu-") + kernels_.name; }
 
-FallbackCounts CpuEngine::fallback_counts() const {
-  FallbackCounts blocks;
-  for (int i = 0; i < kFallbackReasons; ++i) {
-    if (fallback_counts_[i] > 0) blocks[in_words(static_cast<FallbackReason>(i))] = fallback_counts_[i];
-  }
-  return blocks;
-}
-
 void CpuEngine::prepare(const std::vector<const LineKernel*>& kernels) {
   std::set<TwoScaleShape> shapes;
   for (const LineKernel* kernel : kernels) {
     if (takes_two_scales(*kernel)) add_two_scale_shapes(*kernel, shapes);
   }
-  designs_.prepare(shapes, threads());
+  designs_.keep_only(shapes);
+  const std::vector<TwoScaleShape> list(shapes.begin(), shapes.end());
+  parallel_for(static_cast<int>(list.size()), threads(), 1,
+               [&](int i) { designs_.get(list[i], [&] { return TwoScaleDesign(list[i].first, list[i].second); }); });
 }
 
 void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
@@ -57,7 +52,7 @@ void CpuEngine::plan_block(const BlockFilter& block, int depth, Plan& plan) {
   plan.slope = line.slope;
   plan.max_rows = kMaxTileSide;
   plan.fallback = fallback_reason(kernel, line.slope, depth);
-  if (plan.fallback) return;
+  if (!plan.fallback.empty()) return;
   plan.sheared = takes_sheared_columns(kernel, line.slope, depth);
   if (plan.sheared) {
     plan.max_rows = max_sheared_rows(kernel, line.slope);
@@ -76,26 +71,22 @@ void CpuEngine::plan_blocks(const FilterGrid& grid, const std::vector<int>& bloc
   plans_.resize(std::max(plans_.size(), blocks.size()));
   constexpr int kBlocksAtATime = 8;
   parallel_for(count, threads(), kBlocksAtATime, [&](int i) { plan_block(grid.blocks[blocks[i]], depth, plans_[i]); });
-  fallback_counts_.fill(0);
+  fallback_counts_.clear();
   left_to_float_.clear();
   for (int i = 0; i < count; ++i) {
-    if (!plans_[i].fallback) continue;
-    ++fallback_counts_[static_cast<int>(*plans_[i].fallback)];
+    if (plans_[i].fallback.empty()) continue;
+    ++fallback_counts_[plans_[i].fallback];
     left_to_float_.push_back(blocks[i]);
   }
-}
-
-TileNeeds CpuEngine::needs_of(const TileGeometry& tile, const Plan& plan, int depth) const {
-  if (!plan.sheared) return kernels_.exact_needs(tile, plan.exact.filter);
-  return (depth == CV_8U ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs)(tile, plan.two_scale.filter);
 }
 
 TileNeeds CpuEngine::cut_tiles(const std::vector<int>& blocks, int depth, const SeamBlender& seams) {
   tiles_.clear();
   TileNeeds needs{};
+  const auto two_scale_needs = depth == CV_8U ? kernels_.two_scale_u8_needs : kernels_.two_scale_u16_needs;
   for (int i = 0; i < static_cast<int>(blocks.size()); ++i) {
     const Plan& plan = plans_[i];
-    if (plan.fallback) continue;
+    if (!plan.fallback.empty()) continue;
     const cv::Rect reach = seams.reach(blocks[i]);
     const int max_height = plan.major_is_y ? plan.max_rows : kMaxTileSide;
     const int max_width = plan.major_is_y ? kMaxTileSide : plan.max_rows;
@@ -104,7 +95,8 @@ TileNeeds CpuEngine::cut_tiles(const std::vector<int>& blocks, int depth, const 
         Tile tile{{}, {x, y, width, height}, blocks[i], &plan};
         tile.geometry = plan.major_is_y ? TileGeometry{y, height, x, width, plan.slope}
                                         : TileGeometry{x, width, y, height, plan.slope};
-        const TileNeeds of_tile = needs_of(tile.geometry, plan, depth);
+        const TileNeeds of_tile = plan.sheared ? two_scale_needs(tile.geometry, plan.two_scale.filter)
+                                               : kernels_.exact_needs(tile.geometry, plan.exact.filter);
         needs.scratch_floats = std::max(needs.scratch_floats, of_tile.scratch_floats);
         needs.columns = std::max(needs.columns, of_tile.columns);
         tiles_.push_back(tile);

@@ -1,10 +1,8 @@
 // The fast CPU engine.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,7 +34,7 @@ class CpuEngine : public BlockEngine {
   std::size_t prepared_designs() const { return designs_.size(); }
 
   /// Blocks that were left to the float engine.
-  FallbackCounts fallback_counts() const override;
+  FallbackCounts fallback_counts() const override { return fallback_counts_; }
 
  protected:
   void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
@@ -45,8 +43,8 @@ class CpuEngine : public BlockEngine {
  private:
   /// What is the same for all tiles of a block.
   struct Plan {
-    std::optional<FallbackReason> fallback;  // set: the float engine's, and what follows does not matter
-    bool sheared = false;                    // two_scale rather than exact
+    std::string fallback;  // not empty: the float engine's, and what follows does not matter
+    bool sheared = false;  // two_scale rather than exact
     bool major_is_y = true;
     double slope = 0;
     int max_rows = 0;  // of a tile, along the major axis
@@ -65,7 +63,6 @@ class CpuEngine : public BlockEngine {
   void plan_block(const BlockFilter& block, int depth, Plan& plan);
   /// Plans of `blocks`, in their order; which are left to the float engine, and why.
   void plan_blocks(const FilterGrid& grid, const std::vector<int>& blocks, int depth);
-  TileNeeds needs_of(const TileGeometry& tile, const Plan& plan, int depth) const;
   /// Tiles of all blocks that are not left to the float engine. Returns the largest needs.
   TileNeeds cut_tiles(const std::vector<int>& blocks, int depth, const SeamBlender& seams);
   template <typename Pixel>
@@ -80,8 +77,8 @@ class CpuEngine : public BlockEngine {
   TwoScaleDesigns designs_;
   std::vector<Plan> plans_;
   std::vector<Tile> tiles_;
-  std::array<std::size_t, kFallbackReasons> fallback_counts_{};  // by FallbackReason
-  std::vector<int> left_to_float_;                               // blocks
+  FallbackCounts fallback_counts_;
+  std::vector<int> left_to_float_;  // blocks
   PlaneBuffers<std::uint8_t> buffers8_;
   PlaneBuffers<std::uint16_t> buffers16_;
   cv::Mat channel_;

@@ -97,73 +97,56 @@ inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const Ex
 /// Columns of a neighbourhood: a pair begins in the last one.
 inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
 
-#if defined(__aarch64__)
-
-TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
+/// Room for pixels in pairs, of 32 bits at most, and in bytes. Quads, of which there are fewer than rows, take less.
+TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
   const ExactLayout layout(tile, filter);
   const std::size_t pixels = static_cast<std::size_t>(layout.rows) * pair_columns(layout);
-  return {pixels * (sizeof(std::int16_t) + 1) / sizeof(float), 0};
+  return {pixels * (sizeof(std::int32_t) + 1) / sizeof(float), 0};
 }
 
-/// NEON multiplies four pixels of 16 bits by a weight, and adds, in one instruction: there are no pairs.
-void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
-                    float* scratch, std::uint8_t* out) {
-  const ExactLayout layout(tile, filter);
-  const int stride = pair_columns(layout), count = layout.rows * stride;
-  std::int16_t* pixels = reinterpret_cast<std::int16_t*>(scratch);
-  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pixels + count);
-  copy_neighbourhood(source, layout, stride, bytes, stride);
-  for (int i = 0; i < count; ++i) pixels[i] = bytes[i];
-  for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
-    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
-    int32x4_t acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
-    for (int t = 0; t < filter.count; ++t) {
-      const PairTap& tap = filter.taps[t];
-      const std::int16_t* from = pixels + at + tap.m * stride + tap.n;
-      const auto low = static_cast<std::int16_t>(tap.weights), high = static_cast<std::int16_t>(tap.weights >> 16);
-      for (int row = 0; row < kExactRows; ++row, from += stride) {
-        for (int v = 0; v < kVectors; ++v) {
-          acc[row][v] = vmlal_n_s16(acc[row][v], vld1_s16(from + v * kLanes), low);
-          acc[row][v] = vmlal_n_s16(acc[row][v], vld1_s16(from + v * kLanes + 1), high);
-        }
-      }
-    }
-    for (int row = 0; row < kExactRows; ++row) {
-      for (int v = 0; v < kVectors; ++v) sums[row][v] = (IntVector)acc[row][v];
-    }
-  });
+#if defined(__aarch64__)
+
+// NEON multiplies four pixels of 16 bits by a weight, and adds, in one instruction: a pair is its first pixel, and the
+// second one is in the next.
+using Pair = std::int16_t;
+inline Pair pair_at(const std::uint8_t* from) { return from[0]; }
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
+  const auto low = static_cast<std::int16_t>(weights), high = static_cast<std::int16_t>(weights >> 16);
+  const int32x4_t first = vmlal_n_s16((int32x4_t)acc, vld1_s16(from), low);
+  return (IntVector)vmlal_n_s16(first, vld1_s16(from + 1), high);
 }
 
 #else
 
-TileNeeds exact_pairs_needs(const TileGeometry& tile, const ExactFilter& filter) {
-  const ExactLayout layout(tile, filter);
-  const std::size_t pairs = static_cast<std::size_t>(layout.rows) * layout.width;
-  return {pairs + static_cast<std::size_t>(layout.rows) * pair_columns(layout) / sizeof(float), 0};
+using Pair = std::int32_t;
+inline Pair pair_at(const std::uint8_t* from) { return from[0] | (from[1] << 16); }
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
+  return multiply_pairs(acc, load(from), IntVector{} + weights);
 }
+
+#endif
 
 void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
                     float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
   const int columns = pair_columns(layout);
-  std::int32_t* pairs = reinterpret_cast<std::int32_t*>(scratch);
+  Pair* pairs = reinterpret_cast<Pair*>(scratch);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pairs + layout.rows * layout.width);
   copy_neighbourhood(source, layout, columns, bytes, columns);
   for (int r = 0; r < layout.rows; ++r) {
     const std::uint8_t* from = bytes + r * columns;
-    std::int32_t* to = pairs + r * layout.width;
-    for (int i = 0; i < layout.width; ++i) to[i] = from[i] | (from[i + 1] << 16);
+    Pair* to = pairs + r * layout.width;
+    for (int i = 0; i < layout.width; ++i) to[i] = pair_at(from + i);
   }
   for_exact_outputs(tile, filter, out, layout.width, [&](int at, auto& sums) {
     constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
     IntVector acc[kExactRows][kVectors] = {};  // local, so that it stays in registers
     for (int t = 0; t < filter.count; ++t) {
       const PairTap& tap = filter.taps[t];
-      const std::int32_t* from = pairs + at + tap.m * layout.width + tap.n;
-      const IntVector weights = IntVector{} + tap.weights;
+      const Pair* from = pairs + at + tap.m * layout.width + tap.n;
       for (int row = 0; row < kExactRows; ++row) {
         for (int v = 0; v < kVectors; ++v) {
-          acc[row][v] = multiply_pairs(acc[row][v], load(from + row * layout.width + v * kLanes), weights);
+          acc[row][v] = add_pairs(acc[row][v], from + row * layout.width + v * kLanes, tap.weights);
         }
       }
     }
@@ -172,8 +155,6 @@ void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
     }
   });
 }
-
-#endif
 
 #if defined(__AVX512VBMI__) && defined(__AVX512VNNI__) || defined(__aarch64__) && defined(__ARM_FEATURE_DOTPROD)
 
@@ -223,12 +204,6 @@ struct Quad {
 /// Columns of a neighbourhood, and the stride with space for a vector that begins in the last one.
 inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
 inline int quad_stride(const ExactLayout& layout) { return quad_columns(layout) + 64; }
-
-TileNeeds exact_quads_needs(const TileGeometry& tile, const ExactFilter& filter) {
-  const ExactLayout layout(tile, filter);
-  const std::size_t bytes = static_cast<std::size_t>(layout.rows) * quad_stride(layout);
-  return {(bytes + filter.count * sizeof(Quad)) / sizeof(float), 0};
-}
 
 inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
   return (a & 0xff) | (b & 0xff) << 8 | (c & 0xff) << 16 | static_cast<std::int32_t>((d & 0xffu) << 24);
@@ -292,31 +267,17 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   });
 }
 
-TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
-  return filter.weights_are_bytes ? exact_quads_needs(tile, filter) : exact_pairs_needs(tile, filter);
-}
-
-void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
-              float* scratch, std::uint8_t* out) {
-  if (filter.weights_are_bytes) {
-    exact_quads_u8(source, tile, filter, scratch, out);
-  } else {
-    exact_pairs_u8(source, tile, filter, scratch, out);
-  }
-}
-
 #else
 
 constexpr bool kHasByteWeights = false;
+constexpr auto exact_quads_u8 = exact_pairs_u8;
 
-TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) { return exact_pairs_needs(tile, filter); }
+#endif
 
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
               float* scratch, std::uint8_t* out) {
-  exact_pairs_u8(source, tile, filter, scratch, out);
+  (filter.weights_are_bytes ? exact_quads_u8 : exact_pairs_u8)(source, tile, filter, scratch, out);
 }
-
-#endif
 
 }  // namespace
 }  // namespace GYRO_DEBLUR_ISA

@@ -30,28 +30,20 @@ inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weigh
 }
 
 /// kLanes pixels as floats.
-inline Vector load_pixels(const std::uint8_t* from) {
+template <typename Pixel>
+inline Vector load_pixels(const Pixel* from) {
 #if defined(__AVX512F__)
-  return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)from)));
+  return (Vector)_mm512_cvtepi32_ps(sizeof(Pixel) == 1
+                                        ? _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)from))
+                                        : _mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
 #elif defined(__AVX2__)
-  return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from)));
+  return (Vector)_mm256_cvtepi32_ps(sizeof(Pixel) == 1 ? _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from))
+                                                       : _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
 #elif defined(__aarch64__)
-  std::uint32_t four;
-  std::memcpy(&four, from, sizeof four);
-  return (Vector)vcvtq_f32_u32(vmovl_u16(vget_low_u16(vmovl_u8(vcreate_u8(four)))));
-#else
-  Vector v;
-  for (int i = 0; i < kLanes; ++i) v[i] = from[i];
-  return v;
-#endif
-}
-inline Vector load_pixels(const std::uint16_t* from) {
-#if defined(__AVX512F__)
-  return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
-#elif defined(__AVX2__)
-  return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
-#elif defined(__aarch64__)
-  return (Vector)vcvtq_f32_u32(vmovl_u16(vld1_u16(from)));
+  std::uint64_t bits = 0;
+  std::memcpy(&bits, from, 4 * sizeof(Pixel));
+  const uint16x4_t words = sizeof(Pixel) == 1 ? vget_low_u16(vmovl_u8(vcreate_u8(bits))) : vcreate_u16(bits);
+  return (Vector)vcvtq_f32_u32(vmovl_u16(words));
 #else
   Vector v;
   for (int i = 0; i < kLanes; ++i) v[i] = from[i];

@@ -69,11 +69,7 @@ struct ColumnFormat<std::uint8_t> {
   static constexpr int kSummands = 8;
 
   static Vector load_sample(const std::int16_t* from) {
-#if defined(__AVX512F__)
-    return (Vector)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
-#else
-    return (Vector)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
-#endif
+    return load_pixels(reinterpret_cast<const std::uint16_t*>(from));
   }
   static Vector sum_samples(const std::int16_t* from, int rows, int stride) {
     typedef std::uint16_t Words __attribute__((vector_size(2 * kLanes)));
@@ -124,8 +120,8 @@ struct TwoScaleLayout {
   int coarse_outputs;         // nodes at which the smooth part is evaluated, from node -1
   int first_node;             // node j sums m_begin + [j d, (j + 1) d)
   int nodes;
-  int kept_first, kept_rows;                                              // samples kept, relative to m_begin
-  int rows_at, parts_at, kept_at, nodes_at, coarse_at, result_at, total;  // in floats
+  int kept_first, kept_rows;                                     // samples kept, relative to m_begin
+  int parts_at, kept_at, nodes_at, coarse_at, result_at, total;  // in floats; pixels of SampleRows are at 0
 
   TwoScaleLayout(const TileGeometry& tile, const TwoScaleFilter& filter, int group, int sample_bytes) {
     const int d = filter.decimation;
@@ -140,8 +136,7 @@ struct TwoScaleLayout {
     kept_first = -filter.box_half - 1;
     kept_rows = tile.m_count + 2 * (filter.box_half + 1);
     const int floats_of_kept = round_up(kept_rows * columns * sample_bytes, kCacheLineBytes) / 4;
-    rows_at = 0;
-    parts_at = rows_at + nodes * d * static_cast<int>(sizeof(void*) / sizeof(float));
+    parts_at = nodes * d * static_cast<int>(sizeof(void*) / sizeof(float));
     kept_at = round_up(parts_at + nodes * d, kCacheLineBytes / 4);
     nodes_at = kept_at + floats_of_kept;
     coarse_at = nodes_at + nodes * columns;
@@ -201,7 +196,7 @@ struct SampleRows {
 
   SampleRows(const SourcePlane<Pixel>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
              const TwoScaleLayout& layout, float* scratch)
-      : pixels(reinterpret_cast<const Pixel**>(scratch + layout.rows_at)),
+      : pixels(reinterpret_cast<const Pixel**>(scratch)),
         parts(reinterpret_cast<std::uint32_t*>(scratch + layout.parts_at)),
         keep_begin(layout.kept_first - layout.first_node * filter.decimation),
         keep_end(keep_begin + layout.kept_rows) {
@@ -215,6 +210,12 @@ struct SampleRows {
       const int first = layout.first_column + static_cast<int>(across >> kPartBits);
       pixels[i] = read_row(source, first_m + i, first, layout.pixels_of_row());
     }
+  }
+
+  /// Samples of [begin, end) that are kept; where there are none, an empty range inside of it.
+  Range kept_within(int begin, int end) const {
+    const int count = end - begin + 1;
+    return {begin + clamp_to(keep_begin - begin, count), begin + clamp_to(keep_end - begin, count)};
   }
 };
 
@@ -246,16 +247,11 @@ inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, co
     const Range outputs = layout.coarse_of_rows(layout.rows_of_columns(tile, column, 2 * kLanes), d);
     for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
       const int begin = j * d, end = begin + d;
-      const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
-                to = end < rows.keep_end ? end : rows.keep_end;
+      const Range kept_part = rows.kept_within(begin, end);
       Vector sum[2] = {};
-      if (from >= to) {
-        sum_samples<Pixel, false>(rows, begin, end, column, columns, sum, kept);
-      } else {
-        sum_samples<Pixel, false>(rows, begin, from, column, columns, sum, kept);
-        sum_samples<Pixel, true>(rows, from, to, column, columns, sum, kept);
-        sum_samples<Pixel, false>(rows, to, end, column, columns, sum, kept);
-      }
+      sum_samples<Pixel, false>(rows, begin, kept_part.begin, column, columns, sum, kept);
+      sum_samples<Pixel, true>(rows, kept_part.begin, kept_part.end, column, columns, sum, kept);
+      sum_samples<Pixel, false>(rows, kept_part.end, end, column, columns, sum, kept);
       for (int v = 0; v < 2; ++v) store(scratch + layout.nodes_at + j * columns + column + v * kLanes, sum[v]);
     }
   }
@@ -315,17 +311,12 @@ inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_
     for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = _mm256_setzero_si256();
     for (int begin = j * d; begin < (j + 1) * d; begin += Format::kSummands) {
       const int end = begin + Format::kSummands < (j + 1) * d ? begin + Format::kSummands : (j + 1) * d;
-      const int from = begin > rows.keep_begin ? begin : rows.keep_begin,
-                to = end < rows.keep_end ? end : rows.keep_end;
+      const Range kept_part = rows.kept_within(begin, end);
       __m256i sum[kGroups][2];
       for (int g = 0; g < kGroups; ++g) sum[g][0] = sum[g][1] = _mm256_setzero_si256();
-      if (from >= to) {
-        sum_samples<kGroups, false>(rows, weights, begin, end, column, columns, sum, kept);
-      } else {
-        sum_samples<kGroups, false>(rows, weights, begin, from, column, columns, sum, kept);
-        sum_samples<kGroups, true>(rows, weights, from, to, column, columns, sum, kept);
-        sum_samples<kGroups, false>(rows, weights, to, end, column, columns, sum, kept);
-      }
+      sum_samples<kGroups, false>(rows, weights, begin, kept_part.begin, column, columns, sum, kept);
+      sum_samples<kGroups, true>(rows, weights, kept_part.begin, kept_part.end, column, columns, sum, kept);
+      sum_samples<kGroups, false>(rows, weights, kept_part.end, end, column, columns, sum, kept);
       for (int g = 0; g < kGroups; ++g) {
         for (int odd = 0; odd < 2; ++odd) {
           const __m256i part = _mm256_srli_epi16(_mm256_add_epi16(sum[g][odd], half), shift);
@@ -367,27 +358,16 @@ inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& t
 
 #endif
 
-template <int kVectors>
-inline void filter_coarse_columns(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
-                                  int column, float* scratch) {
-  const int taps = 2 * filter.coarse_radius + 1, columns = layout.columns;
-  // Weights have kCoarseGuard zeros on either side, so that every output sees every node of the span.
-  const float* weights = filter.coarse;
-  const Range outputs =
-      layout.coarse_of_rows(layout.rows_of_columns(tile, column, kVectors * kLanes), filter.decimation);
-  for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
-    Vector acc[kCoarseOutputs][kVectors] = {};
-    const float* from = scratch + layout.nodes_at + j * columns + column;
-    for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += columns) {
-      for (int v = 0; v < kVectors; ++v) {
-        const Vector node = load(from + v * kLanes);
-        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
-      }
-    }
-    float* to = scratch + layout.coarse_at + j * columns + column;
-    for (int o = 0; o < kCoarseOutputs; ++o) {
-      for (int v = 0; v < kVectors; ++v) store(to + o * columns + v * kLanes, acc[o][v]);
-    }
+/// Calls filter_at(j, column) for all coarse outputs that are needed: kCoarseOutputs from j on, kColumnVectors vectors
+/// from `column` on.
+template <typename Format, typename FilterAt>
+inline void for_coarse_outputs(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
+                               FilterAt filter_at) {
+  static_assert(Format::kGroup % (kColumnVectors * kLanes) == 0, "vectors are of one group, whose columns are mixed");
+  for (int column = 0; column < layout.columns; column += kColumnVectors * kLanes) {
+    const Range rows = layout.rows_of_columns(tile, column / Format::kGroup * Format::kGroup, Format::kGroup);
+    const Range outputs = layout.coarse_of_rows(rows, filter.decimation);
+    for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) filter_at(j, column);
   }
 }
 
@@ -395,9 +375,23 @@ inline void filter_coarse_columns(const TileGeometry& tile, const TwoScaleFilter
 template <typename Pixel>
 inline void filter_coarse(const TileGeometry& tile, const TwoScaleFilter& filter, const TwoScaleLayout& layout,
                           float* scratch) {
-  for (int column = 0; column < layout.columns; column += kColumnVectors * kLanes) {
-    filter_coarse_columns<kColumnVectors>(tile, filter, layout, column, scratch);
-  }
+  const int taps = 2 * filter.coarse_radius + 1, columns = layout.columns;
+  // Weights have kCoarseGuard zeros on either side, so that every output sees every node of the span.
+  const float* weights = filter.coarse;
+  for_coarse_outputs<ColumnFormat<Pixel>>(tile, filter, layout, [&](int j, int column) {
+    Vector acc[kCoarseOutputs][kColumnVectors] = {};
+    const float* from = scratch + layout.nodes_at + j * columns + column;
+    for (int k = 0; k < taps + kCoarseOutputs - 1; ++k, from += columns) {
+      for (int v = 0; v < kColumnVectors; ++v) {
+        const Vector node = load(from + v * kLanes);
+        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] += weights[k - o] * node;
+      }
+    }
+    float* to = scratch + layout.coarse_at + j * columns + column;
+    for (int o = 0; o < kCoarseOutputs; ++o) {
+      for (int v = 0; v < kColumnVectors; ++v) store(to + o * columns + v * kLanes, acc[o][v]);
+    }
+  });
 }
 
 #if defined(__AVX2__)
@@ -411,32 +405,25 @@ inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScale
   const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
                      static_cast<float>(1 << filter.coarse_shift);
   const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
-  for (int column = 0; column < columns; column += kColumnVectors * kLanes) {
-    static_assert(Format::kGroup % (kColumnVectors * kLanes) == 0, "vectors are of one group, whose columns are mixed");
-    const Range rows = layout.rows_of_columns(tile, column / Format::kGroup * Format::kGroup, Format::kGroup);
-    const Range outputs = layout.coarse_of_rows(rows, filter.decimation);
-    for (int j = outputs.begin; j < outputs.end; j += kCoarseOutputs) {
-      IntVector acc[kCoarseOutputs][kColumnVectors] = {};
-      const std::int32_t* from =
-          reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at) + j / 2 * columns + column;
-      const std::int32_t* even = filter.coarse_even;
-      const std::int32_t* odd = filter.coarse_odd;
-      for (int p = 0; p < pairs; ++p, from += columns) {
-        const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
-        for (int v = 0; v < kColumnVectors; ++v) {
-          const IntVector node = load(from + v * kLanes);
-          for (int o = 0; o < kCoarseOutputs; ++o)
-            acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
-        }
-      }
-      float* to = scratch + layout.coarse_at + j * columns + column;
-      for (int o = 0; o < kCoarseOutputs; ++o) {
-        for (int v = 0; v < kColumnVectors; ++v) {
-          store(to + o * columns + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
-        }
+  const std::int32_t* nodes = reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at);
+  const std::int32_t *even = filter.coarse_even, *odd = filter.coarse_odd;
+  for_coarse_outputs<Format>(tile, filter, layout, [&](int j, int column) {
+    IntVector acc[kCoarseOutputs][kColumnVectors] = {};
+    const std::int32_t* from = nodes + j / 2 * columns + column;
+    for (int p = 0; p < pairs; ++p, from += columns) {
+      const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
+      for (int v = 0; v < kColumnVectors; ++v) {
+        const IntVector node = load(from + v * kLanes);
+        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
       }
     }
-  }
+    float* to = scratch + layout.coarse_at + j * columns + column;
+    for (int o = 0; o < kCoarseOutputs; ++o) {
+      for (int v = 0; v < kColumnVectors; ++v) {
+        store(to + o * columns + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
+      }
+    }
+  });
 }
 
 #endif
@@ -491,24 +478,14 @@ inline void add_scales(const TileGeometry& tile, const TwoScaleFilter& filter, c
   }
 }
 
-/// Where an output row's first pixel is on the columns.
-struct ColumnPosition {
-  int below;
-  double part;
-  ColumnPosition(const TileGeometry& tile, const TwoScaleLayout& layout, int m) {
-    const double column = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_column;
-    below = floor_to_int(column);
-    part = column - below;
-  }
-};
-
 /// Resamples the columns to pixels (Catmull-Rom).
 template <typename Pixel>
 inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, const float* result, Pixel* out) {
   for (int m = 0; m < tile.m_count; ++m) {
-    const ColumnPosition position(tile, layout, m);
-    const CubicWeights across(position.part);
-    const float* row = result + m * layout.columns + position.below - 1;
+    const double column = tile.n_begin - tile.slope * (tile.m_begin + m - layout.center) - layout.first_column;
+    const int below = floor_to_int(column);
+    const CubicWeights across(column - below);
+    const float* row = result + m * layout.columns + below - 1;
     for (int n = 0; n < tile.n_count; n += kLanes) {
       Vector sum = across.w[0] * load(row + n);
       for (int q = 1; q < 4; ++q) sum += across.w[q] * load(row + n + q);

@@ -34,6 +34,12 @@ struct OffsetTap {
   float weight;
 };
 
+/// Of one thread.
+struct FloatScratch {
+  std::vector<OffsetTap> offsets;
+  cv::Mat result;
+};
+
 template <int kRows, int kCols>
 inline __attribute__((always_inline)) void sum_outputs(const float* src, std::ptrdiff_t stride, const OffsetTap* taps,
                                                        std::size_t count, float* out) {
@@ -143,12 +149,8 @@ void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
   });
   lay_out(src.size(), count);
 
-  struct Scratch {
-    std::vector<OffsetTap> offsets;
-    std::vector<Pixel> result;
-  };
   const int most_threads = threads();
-  std::vector<Scratch> scratch(most_threads);
+  std::vector<FloatScratch> scratch(most_threads);
   for (int channel = 0; channel < src.channels(); ++channel) {
     load_channel<Pixel>(src, channel);
     parallel_for(count, most_threads, 1, [&](int i, int thread) {
@@ -159,10 +161,10 @@ void FloatEngine::filter_as(const cv::Mat& src, const FilterGrid& grid, const st
         offsets.push_back({-(tap.dy * stride_ + tap.dx), tap.weight});
       }
       const cv::Rect rect = seams.reach(blocks[i]);
-      result.resize(rect.area());
+      result.create(rect.size(), src.depth());
       filter_block(padded_.data() + (rect.y + pad_y_) * stride_ + rect.x + pad_x_, stride_, offsets, rect.size(),
-                   result.data());
-      seams.store_channel(blocks[i], channel, result.data(), dst);
+                   result.ptr<Pixel>());
+      seams.store(blocks[i], result, dst, channel);
     });
   }
 }

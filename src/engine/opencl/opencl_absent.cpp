@@ -1,10 +1,10 @@
 // Replaces the OpenCL engine where it was not built.
 #include "engine/fallback_engine.hpp"
-#include "engine/opencl/opencl_factory.hpp"
+#include "engine/opencl/opencl_engine.hpp"
 
 namespace gyro_deblur {
 
-std::unique_ptr<Engine> make_opencl_engine(const std::string&, int) {
+std::unique_ptr<OpenClEngine> make_opencl_engine(const std::string&, int, OpenClTuning) {
   throw DeviceError("gyro_deblur was built without OpenCL");
 }
 

@@ -15,8 +15,6 @@
 #include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/opencl/opencl_api.hpp"
-#include "engine/opencl/opencl_devices.hpp"
-#include "engine/opencl/opencl_factory.hpp"
 #include "engine/opencl/transfer_buffer.hpp"
 #include "inverse/line_taps.hpp"
 
@@ -61,6 +59,70 @@ Shape cpu_shape(const cl::Device& device) {
   const bool has_fma = (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_FMA) != 0;
   const int lanes = native >= 8 ? 8 : 4;
   return {lanes, 3, native >= 16 ? 8 : 4, 1, 1, 72, 72, 0, 32, 1, has_fma};
+}
+
+std::string lower_case(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::tolower(c); });
+  return text;
+}
+
+struct NamedDevice {
+  cl::Device device;
+  std::string name;  // "PLATFORM: DEVICE"
+  bool is_gpu;
+};
+
+/// All devices of all platforms; a platform that fails has none.
+std::vector<NamedDevice> all_devices() {
+  std::vector<NamedDevice> all;
+  std::vector<cl::Platform> platforms;
+  try {
+    cl::Platform::get(&platforms);
+  } catch (const cl::Error&) {
+    return all;  // the loader's way to say that there are none
+  }
+  for (const cl::Platform& platform : platforms) {
+    try {
+      std::vector<cl::Device> devices;
+      platform.getDevices(CL_DEVICE_TYPE_ALL, &devices);
+      const std::string prefix = platform.getInfo<CL_PLATFORM_NAME>() + ": ";
+      for (const cl::Device& device : devices) {
+        const bool is_gpu = (device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_GPU) != 0;
+        all.push_back({device, prefix + device.getInfo<CL_DEVICE_NAME>(), is_gpu});
+      }
+    } catch (const cl::Error&) {
+      continue;
+    }
+  }
+  return all;
+}
+
+/// @param wanted  as make_opencl_engine() takes it
+/// Throws DeviceError that lists the devices when there is no such one.
+cl::Device choose_opencl_device(const std::string& wanted) {
+  const std::vector<NamedDevice> all = all_devices();
+  if (all.empty()) throw DeviceError("there is no OpenCL device");
+  const bool is_index = std::all_of(wanted.begin(), wanted.end(), [](unsigned char c) { return std::isdigit(c); });
+  if (wanted.empty()) {
+    for (const NamedDevice& candidate : all) {
+      if (candidate.is_gpu) return candidate.device;
+    }
+    return all.front().device;
+  }
+  std::string names;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (is_index ? wanted == std::to_string(i)
+                 : lower_case(all[i].name).find(lower_case(wanted)) != std::string::npos) {
+      return all[i].device;
+    }
+    names += (i == 0 ? "" : ", ") + std::to_string(i) + " = \"" + all[i].name + "\"";
+  }
+  throw DeviceError("no OpenCL device \"" + wanted + "\"; there is " + names);
+}
+
+/// The same error as the fallback takes it.
+DeviceError device_error(const cl::Error& error) {
+  return DeviceError(std::string(error.what()) + " returned " + std::to_string(error.err()));
 }
 
 std::string one_line(std::string text) {
@@ -127,12 +189,13 @@ struct Plane {
   }
 };
 
-}  // namespace
-
-class OpenClEngine::Impl {
+/// Everything of the engine that needs OpenCL's headers.
+class DeviceEngine : public OpenClEngine {
  public:
-  Impl(const cl::Device& device, OpenClTuning tuning)
-      : device_(device),
+  // A device on the processor has threads of its own, on the same cores.
+  DeviceEngine(const cl::Device& device, int threads, OpenClTuning tuning)
+      : OpenClEngine(is_processor(device) ? 1 : threads),
+        device_(device),
         name_("opencl (" + device.getInfo<CL_DEVICE_NAME>() + ")"),
         shape_(use_gpu_shape(device, tuning) ? kGpuShape : cpu_shape(device)),
         context_(device),
@@ -140,45 +203,198 @@ class OpenClEngine::Impl {
         image_(context_, queue_, shares_memory(device, tuning)),
         steps_(context_, queue_, shares_memory(device, tuning)),
         tiles_(context_, queue_, shares_memory(device, tuning)),
-        result_(context_, queue_, shares_memory(device, tuning)),
-        is_processor_((device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0) {
+        result_(context_, queue_, shares_memory(device, tuning)) {
     program(CV_8U);
   }
 
-  bool is_processor() const { return is_processor_; }
+  std::string name() const override { return name_; }
+  const OpenClTimes& last_times() const override { return times_; }
 
-  /// Has the device begin with a frame.
-  void start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
-             const SeamBlender& seams);
-  /// Waits for the device and stores what it was started with.
-  void finish(const std::vector<int>& blocks, int threads, SeamBlender& seams, cv::Mat& dst);
-
-  const std::string& name() const { return name_; }
-  const OpenClTimes& times() const { return times_; }
+ protected:
+  void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
+                     cv::Mat& dst) override {
+    try {
+      start(src, grid, blocks, seams);
+      copy_untouched(src, grid, dst);
+      finish(blocks, seams, dst);
+    } catch (const cl::Error& error) {
+      throw device_error(error);
+    }
+  }
 
  private:
   struct Program {
     cl::Kernel load_plane, convolve_tiles;
   };
 
+  static bool is_processor(const cl::Device& device) {
+    return (device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0;
+  }
   static bool use_gpu_shape(const cl::Device& device, OpenClTuning tuning) {
-    if (tuning != OpenClTuning::DEVICE) return tuning == OpenClTuning::GPU;
-    return (device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) == 0;
+    return tuning == OpenClTuning::DEVICE ? !is_processor(device) : tuning == OpenClTuning::GPU;
   }
   static bool shares_memory(const cl::Device& device, OpenClTuning tuning) {
     return tuning != OpenClTuning::GPU && device.getInfo<CL_DEVICE_HOST_UNIFIED_MEMORY>();
   }
 
-  Program& program(int depth);
-  void plan(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
-            const SeamBlender& seams);
-  void cut_tiles(const LineSteps& line, const cv::Rect& rect, int channels);
-  void upload_plan(int count);
-  void load(Program& program, const cv::Mat& src, int channel, Plane& plane, bool transposed);
-  void convolve(Program& program, int channel, int channels);
-  template <typename Pixel>
-  void store_results(const std::vector<int>& blocks, const void* results, int threads, SeamBlender& seams,
-                     cv::Mat& dst);
+  Program& program(int depth) {
+    const int slot = depth == CV_8U ? 0 : 1;
+    if (built_[slot]) return programs_[slot];
+    const std::string options = shape_.build_options() + (depth == CV_8U ? " -D PIXEL=uchar -D PIXEL_MAX=255"
+                                                                         : " -D PIXEL=ushort -D PIXEL_MAX=65535");
+    cl::Program built(context_, std::string(kLineConvolutionSource));
+    try {
+      built.build({device_}, options.c_str());
+    } catch (const cl::Error& error) {
+      throw DeviceError("building the OpenCL program: error " + std::to_string(error.err()) + ": " +
+                        one_line(built.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_)));
+    }
+    Program& made = programs_[slot];
+    made.load_plane = cl::Kernel(built, "load_plane");
+    made.convolve_tiles = cl::Kernel(built, "convolve_tiles");
+    const std::size_t group = static_cast<std::size_t>(shape_.group_cols) * shape_.group_rows;
+    if (made.convolve_tiles.getWorkGroupInfo<CL_KERNEL_WORK_GROUP_SIZE>(device_) < group) {
+      throw DeviceError("the device does not take work-groups of " + std::to_string(group));
+    }
+    built_[slot] = true;
+    return made;
+  }
+
+  /// Lines, tiles and the planes that they need.
+  void plan(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, const SeamBlender& seams) {
+    const int count = static_cast<int>(blocks.size());
+    lines_.resize(std::max(lines_.size(), blocks.size()));
+    parallel_for(count, threads(), 1, [&](int i) {
+      const BlockFilter& block = grid.blocks[blocks[i]];
+      make_line_steps(*block.kernel, direction_of(block.angle_rad), lines_[i]);
+    });
+
+    tile_list_.clear();
+    result_starts_.clear();
+    step_count_ = result_values_ = 0;
+    upright_.clear();
+    transposed_.clear();
+    for (int i = 0; i < count; ++i) {
+      (lines_[i].major_is_y ? transposed_ : upright_).use_for(lines_[i]);
+      cut_tiles(lines_[i], seams.reach(blocks[i]), src.channels());
+    }
+    // The longest first, so that none begins when others end.
+    std::stable_sort(tile_list_.begin(), tile_list_.end(),
+                     [](const Tile& a, const Tile& b) { return a.steps > b.steps; });
+    // A plane that is not used is still an argument of the kernel, and has to exist.
+    upright_.lay_out(context_, shape_, upright_.used ? src.cols : 1, upright_.used ? src.rows : 1);
+    transposed_.lay_out(context_, shape_, transposed_.used ? src.rows : 1, transposed_.used ? src.cols : 1);
+  }
+
+  /// Appends the tiles, the steps and the results of a block.
+  void cut_tiles(const LineSteps& line, const cv::Rect& rect, int channels) {
+    const int steps = static_cast<int>(line.steps.size()), step_y = rect.width * channels;
+    const int step_u = line.major_is_y ? step_y : channels, step_v = line.major_is_y ? channels : step_y;
+    const int start = static_cast<int>(result_values_);
+    result_starts_.push_back(result_values_);
+    result_values_ += static_cast<std::size_t>(rect.area()) * channels;
+    const int u0 = line.major_is_y ? rect.y : rect.x, cols = line.major_is_y ? rect.height : rect.width;
+    const int v0 = line.major_is_y ? rect.x : rect.y, rows = line.major_is_y ? rect.width : rect.height;
+    for (int v = 0; v < rows; v += shape_.tile_rows) {
+      for (int u = 0; u < cols; u += shape_.tile_cols) {
+        tile_list_.push_back({u0 + u, v0 + v, std::min(shape_.tile_cols, cols - u),
+                              std::min(shape_.tile_rows, rows - v), static_cast<cl_int>(step_count_), steps,
+                              line.first_m, line.major_is_y ? 1 : 0, start + v * step_v + u * step_u, step_y});
+      }
+    }
+    step_count_ += line.steps.size();
+  }
+
+  /// Steps of `count` lines, and tiles.
+  void upload_plan(int count) {
+    steps_.upload(std::max<std::size_t>(step_count_, 1) * sizeof(StepTaps), &upload_events_, [&](void* host) {
+      StepTaps* to = static_cast<StepTaps*>(host);
+      for (int i = 0; i < count; ++i) to = std::copy(lines_[i].steps.begin(), lines_[i].steps.end(), to);
+    });
+    tiles_.upload(tile_list_.size() * sizeof(Tile), &upload_events_,
+                  [&](void* host) { std::memcpy(host, tile_list_.data(), tile_list_.size() * sizeof(Tile)); });
+  }
+
+  void load(Program& program, const cv::Mat& src, int channel, Plane& plane, bool transposed) {
+    const int step_x = src.channels(), step_y = src.cols * src.channels();
+    cl::Kernel& kernel = program.load_plane;
+    int index = 0;
+    kernel.setArg(index++, image_.device());
+    for (const cl_int argument : {channel, transposed ? step_y : step_x, transposed ? step_x : step_y,
+                                  transposed ? src.rows : src.cols, transposed ? src.cols : src.rows}) {
+      kernel.setArg(index++, argument);
+    }
+    kernel.setArg(index++, plane.buffer);
+    for (const cl_int argument : {plane.stride, plane.rows, plane.border_u, plane.border_v}) {
+      kernel.setArg(index++, argument);
+    }
+    const auto groups = [&](int length) {
+      const int span = shape_.patch * shape_.patch_group;
+      return static_cast<std::size_t>((length + span - 1) / span * shape_.patch_group);
+    };
+    kernel_events_.emplace_back();
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(groups(plane.stride), groups(plane.rows)),
+                                cl::NDRange(shape_.patch_group, shape_.patch_group), nullptr, &kernel_events_.back());
+  }
+
+  void convolve(Program& program, int channel, int channels) {
+    cl::Kernel& kernel = program.convolve_tiles;
+    int index = 0;
+    kernel.setArg(index++, tiles_.device());
+    kernel.setArg(index++, steps_.device());
+    for (const Plane* plane : {&upright_, &transposed_}) {
+      kernel.setArg(index++, plane->buffer);
+      for (const cl_int argument : {plane->stride, plane->border_u, plane->border_v}) kernel.setArg(index++, argument);
+    }
+    kernel.setArg(index++, result_.device());
+    for (const cl_int argument : {channel, channels}) kernel.setArg(index++, argument);
+    kernel_events_.emplace_back();
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange,
+                                cl::NDRange(tile_list_.size() * shape_.group_cols, shape_.group_rows),
+                                cl::NDRange(shape_.group_cols, shape_.group_rows), nullptr, &kernel_events_.back());
+  }
+
+  /// Has the device begin with a frame.
+  void start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, const SeamBlender& seams) {
+    for (std::vector<cl::Event>* events : {&upload_events_, &kernel_events_, &download_events_}) events->clear();
+    times_ = {};
+    if (blocks.empty()) return;
+    Program& kernels = program(src.depth());
+    Stopwatch watch;
+    // First: a driver may begin the transfer during the rest.
+    image_.upload(src.total() * src.elemSize(), &upload_events_,
+                  [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
+    times_.fill_ms = watch.lap();
+    plan(src, grid, blocks, seams);
+    times_.plan_ms = watch.lap();
+    upload_plan(static_cast<int>(blocks.size()));
+    result_.reserve(result_values_ * src.elemSize1());
+    for (int channel = 0; channel < src.channels(); ++channel) {
+      if (upright_.used) load(kernels, src, channel, upright_, false);
+      if (transposed_.used) load(kernels, src, channel, transposed_, true);
+      convolve(kernels, channel, src.channels());
+    }
+    queue_.flush();
+    times_.fill_ms += watch.ms();
+  }
+
+  /// Waits for the device and stores what it was started with.
+  void finish(const std::vector<int>& blocks, SeamBlender& seams, cv::Mat& dst) {
+    if (blocks.empty()) return;
+    Stopwatch watch;
+    result_.download(result_values_ * dst.elemSize1(), &download_events_, [&](void* host) {
+      times_.wait_ms = watch.lap();
+      constexpr int kBlocksAtATime = 8;
+      parallel_for(static_cast<int>(blocks.size()), threads(), kBlocksAtATime, [&](int i) {
+        uchar* result = static_cast<uchar*>(host) + result_starts_[i] * dst.elemSize1();
+        seams.store(blocks[i], cv::Mat(seams.reach(blocks[i]).size(), dst.type(), result), dst);
+      });
+      times_.store_ms = watch.ms();
+    });
+    times_.upload_ms = duration_ms(upload_events_);
+    times_.kernel_ms = duration_ms(kernel_events_);
+    times_.download_ms = duration_ms(download_events_);
+  }
 
   cl::Device device_;
   std::string name_;
@@ -188,7 +404,6 @@ class OpenClEngine::Impl {
   Program programs_[2];  // 8 and 16 bit, built on first use
   bool built_[2] = {false, false};
   TransferBuffer image_, steps_, tiles_, result_;
-  bool is_processor_;  // has threads of its own
   Plane upright_, transposed_;
   // Of the current frame; members to reuse their memory.
   std::vector<LineSteps> lines_;            // of the blocks that are filtered
@@ -200,208 +415,20 @@ class OpenClEngine::Impl {
   OpenClTimes times_;
 };
 
-OpenClEngine::Impl::Program& OpenClEngine::Impl::program(int depth) {
-  const int slot = depth == CV_8U ? 0 : 1;
-  if (built_[slot]) return programs_[slot];
-  const std::string options = shape_.build_options() + (depth == CV_8U ? " -D PIXEL=uchar -D PIXEL_MAX=255"
-                                                                       : " -D PIXEL=ushort -D PIXEL_MAX=65535");
-  cl::Program built(context_, std::string(kLineConvolutionSource));
+}  // namespace
+
+std::vector<std::string> opencl_devices() {
+  std::vector<std::string> names;
+  for (const NamedDevice& found : all_devices()) names.push_back(found.name);
+  return names;
+}
+
+std::unique_ptr<OpenClEngine> make_opencl_engine(const std::string& device, int threads, OpenClTuning tuning) {
   try {
-    built.build({device_}, options.c_str());
-  } catch (const cl::Error& error) {
-    throw DeviceError("building the OpenCL program: error " + std::to_string(error.err()) + ": " +
-                      one_line(built.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_)));
-  }
-  Program& made = programs_[slot];
-  made.load_plane = cl::Kernel(built, "load_plane");
-  made.convolve_tiles = cl::Kernel(built, "convolve_tiles");
-  const std::size_t group = static_cast<std::size_t>(shape_.group_cols) * shape_.group_rows;
-  if (made.convolve_tiles.getWorkGroupInfo<CL_KERNEL_WORK_GROUP_SIZE>(device_) < group) {
-    throw DeviceError("the device does not take work-groups of " + std::to_string(group));
-  }
-  built_[slot] = true;
-  return made;
-}
-
-/// Lines, tiles and the planes that they need.
-void OpenClEngine::Impl::plan(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
-                              const SeamBlender& seams) {
-  const int count = static_cast<int>(blocks.size());
-  lines_.resize(std::max(lines_.size(), blocks.size()));
-  parallel_for(count, threads, 1, [&](int i) {
-    const BlockFilter& block = grid.blocks[blocks[i]];
-    make_line_steps(*block.kernel, direction_of(block.angle_rad), lines_[i]);
-  });
-
-  tile_list_.clear();
-  result_starts_.clear();
-  step_count_ = result_values_ = 0;
-  upright_.clear();
-  transposed_.clear();
-  for (int i = 0; i < count; ++i) {
-    (lines_[i].major_is_y ? transposed_ : upright_).use_for(lines_[i]);
-    cut_tiles(lines_[i], seams.reach(blocks[i]), src.channels());
-  }
-  // The longest first, so that none begins when others end.
-  std::stable_sort(tile_list_.begin(), tile_list_.end(),
-                   [](const Tile& a, const Tile& b) { return a.steps > b.steps; });
-  // A plane that is not used is still an argument of the kernel, and has to exist.
-  upright_.lay_out(context_, shape_, upright_.used ? src.cols : 1, upright_.used ? src.rows : 1);
-  transposed_.lay_out(context_, shape_, transposed_.used ? src.rows : 1, transposed_.used ? src.cols : 1);
-}
-
-/// Appends the tiles, the steps and the results of a block.
-void OpenClEngine::Impl::cut_tiles(const LineSteps& line, const cv::Rect& rect, int channels) {
-  const int steps = static_cast<int>(line.steps.size()), step_y = rect.width * channels;
-  const int step_u = line.major_is_y ? step_y : channels, step_v = line.major_is_y ? channels : step_y;
-  const int start = static_cast<int>(result_values_);
-  result_starts_.push_back(result_values_);
-  result_values_ += static_cast<std::size_t>(rect.area()) * channels;
-  const int u0 = line.major_is_y ? rect.y : rect.x, cols = line.major_is_y ? rect.height : rect.width;
-  const int v0 = line.major_is_y ? rect.x : rect.y, rows = line.major_is_y ? rect.width : rect.height;
-  for (int v = 0; v < rows; v += shape_.tile_rows) {
-    for (int u = 0; u < cols; u += shape_.tile_cols) {
-      tile_list_.push_back({u0 + u, v0 + v, std::min(shape_.tile_cols, cols - u), std::min(shape_.tile_rows, rows - v),
-                            static_cast<cl_int>(step_count_), steps, line.first_m, line.major_is_y ? 1 : 0,
-                            start + v * step_v + u * step_u, step_y});
-    }
-  }
-  step_count_ += line.steps.size();
-}
-
-/// Steps of `count` lines, and tiles.
-void OpenClEngine::Impl::upload_plan(int count) {
-  steps_.upload(std::max<std::size_t>(step_count_, 1) * sizeof(StepTaps), &upload_events_, [&](void* host) {
-    StepTaps* to = static_cast<StepTaps*>(host);
-    for (int i = 0; i < count; ++i) to = std::copy(lines_[i].steps.begin(), lines_[i].steps.end(), to);
-  });
-  tiles_.upload(tile_list_.size() * sizeof(Tile), &upload_events_,
-                [&](void* host) { std::memcpy(host, tile_list_.data(), tile_list_.size() * sizeof(Tile)); });
-}
-
-void OpenClEngine::Impl::load(Program& program, const cv::Mat& src, int channel, Plane& plane, bool transposed) {
-  const int step_x = src.channels(), step_y = src.cols * src.channels();
-  cl::Kernel& kernel = program.load_plane;
-  int index = 0;
-  kernel.setArg(index++, image_.device());
-  for (const cl_int argument : {channel, transposed ? step_y : step_x, transposed ? step_x : step_y,
-                                transposed ? src.rows : src.cols, transposed ? src.cols : src.rows}) {
-    kernel.setArg(index++, argument);
-  }
-  kernel.setArg(index++, plane.buffer);
-  for (const cl_int argument : {plane.stride, plane.rows, plane.border_u, plane.border_v}) {
-    kernel.setArg(index++, argument);
-  }
-  const auto groups = [&](int length) {
-    const int span = shape_.patch * shape_.patch_group;
-    return static_cast<std::size_t>((length + span - 1) / span * shape_.patch_group);
-  };
-  kernel_events_.emplace_back();
-  queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(groups(plane.stride), groups(plane.rows)),
-                              cl::NDRange(shape_.patch_group, shape_.patch_group), nullptr, &kernel_events_.back());
-}
-
-void OpenClEngine::Impl::convolve(Program& program, int channel, int channels) {
-  cl::Kernel& kernel = program.convolve_tiles;
-  int index = 0;
-  kernel.setArg(index++, tiles_.device());
-  kernel.setArg(index++, steps_.device());
-  for (const Plane* plane : {&upright_, &transposed_}) {
-    kernel.setArg(index++, plane->buffer);
-    for (const cl_int argument : {plane->stride, plane->border_u, plane->border_v}) kernel.setArg(index++, argument);
-  }
-  kernel.setArg(index++, result_.device());
-  for (const cl_int argument : {channel, channels}) kernel.setArg(index++, argument);
-  kernel_events_.emplace_back();
-  queue_.enqueueNDRangeKernel(kernel, cl::NullRange,
-                              cl::NDRange(tile_list_.size() * shape_.group_cols, shape_.group_rows),
-                              cl::NDRange(shape_.group_cols, shape_.group_rows), nullptr, &kernel_events_.back());
-}
-
-template <typename Pixel>
-void OpenClEngine::Impl::store_results(const std::vector<int>& blocks, const void* results, int threads,
-                                       SeamBlender& seams, cv::Mat& dst) {
-  const int count = static_cast<int>(blocks.size());
-  constexpr int kBlocksAtATime = 8;
-  parallel_for(count, threads, kBlocksAtATime,
-               [&](int i) { seams.store(blocks[i], static_cast<const Pixel*>(results) + result_starts_[i], dst); });
-}
-
-void OpenClEngine::Impl::start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
-                               const SeamBlender& seams) {
-  for (std::vector<cl::Event>* events : {&upload_events_, &kernel_events_, &download_events_}) events->clear();
-  times_ = {};
-  if (blocks.empty()) return;
-  Program& kernels = program(src.depth());
-  Stopwatch watch;
-  // First: a driver may begin the transfer during the rest.
-  image_.upload(src.total() * src.elemSize(), &upload_events_,
-                [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
-  times_.fill_ms = watch.lap();
-  plan(src, grid, blocks, threads, seams);
-  times_.plan_ms = watch.lap();
-  upload_plan(static_cast<int>(blocks.size()));
-  result_.reserve(result_values_ * src.elemSize1());
-  for (int channel = 0; channel < src.channels(); ++channel) {
-    if (upright_.used) load(kernels, src, channel, upright_, false);
-    if (transposed_.used) load(kernels, src, channel, transposed_, true);
-    convolve(kernels, channel, src.channels());
-  }
-  queue_.flush();
-  times_.fill_ms += watch.ms();
-}
-
-void OpenClEngine::Impl::finish(const std::vector<int>& blocks, int threads, SeamBlender& seams, cv::Mat& dst) {
-  if (blocks.empty()) return;
-  Stopwatch watch;
-  result_.download(result_values_ * dst.elemSize1(), &download_events_, [&](const void* host) {
-    times_.wait_ms = watch.lap();
-    if (dst.depth() == CV_8U) {
-      store_results<cl_uchar>(blocks, host, threads, seams, dst);
-    } else {
-      store_results<cl_ushort>(blocks, host, threads, seams, dst);
-    }
-    times_.store_ms = watch.ms();
-  });
-  times_.upload_ms = duration_ms(upload_events_);
-  times_.kernel_ms = duration_ms(kernel_events_);
-  times_.download_ms = duration_ms(download_events_);
-}
-
-std::unique_ptr<OpenClEngine::Impl> OpenClEngine::make_impl(const std::string& device, OpenClTuning tuning) {
-  try {
-    return std::make_unique<Impl>(choose_opencl_device(device), tuning);
+    return std::make_unique<DeviceEngine>(choose_opencl_device(device), threads, tuning);
   } catch (const cl::Error& error) {
     throw device_error(error);
   }
-}
-
-OpenClEngine::OpenClEngine(const std::string& device, int threads, OpenClTuning tuning)
-    : OpenClEngine(make_impl(device, tuning), threads) {}
-
-// A device on the processor has threads of its own, on the same cores.
-OpenClEngine::OpenClEngine(std::unique_ptr<Impl> impl, int threads)
-    : BlockEngine(impl->is_processor() ? 1 : threads), impl_(std::move(impl)) {}
-
-OpenClEngine::~OpenClEngine() = default;
-
-void OpenClEngine::filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks,
-                                 SeamBlender& seams, cv::Mat& dst) {
-  try {
-    impl_->start(src, grid, blocks, threads(), seams);
-    copy_untouched(src, grid, dst);
-    impl_->finish(blocks, threads(), seams, dst);
-  } catch (const cl::Error& error) {
-    throw device_error(error);
-  }
-}
-
-std::string OpenClEngine::name() const { return impl_->name(); }
-
-const OpenClTimes& OpenClEngine::last_times() const { return impl_->times(); }
-
-std::unique_ptr<Engine> make_opencl_engine(const std::string& device, int threads) {
-  return std::make_unique<OpenClEngine>(device, threads);
 }
 
 }  // namespace gyro_deblur

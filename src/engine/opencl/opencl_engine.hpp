@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "engine/block_engine.hpp"
-#include "engine/engine.hpp"
 
 namespace gyro_deblur {
 
@@ -40,29 +39,18 @@ enum class OpenClTuning {
 /// with 25 KiB of local memory.
 class OpenClEngine : public BlockEngine {
  public:
-  /// @param device   an index into opencl_devices(), a part of a name there in any case, or empty: the first GPU, else
-  ///                 the first device
-  /// @param threads  that prepare the taps at most, >= 0; 0: one for each core, see parallel_for_ranges
-  /// Throws DeviceError when there is no such device or it cannot build the program.
-  OpenClEngine(const std::string& device, int threads, OpenClTuning tuning = OpenClTuning::DEVICE);
-  ~OpenClEngine() override;
+  using BlockEngine::BlockEngine;
 
-  /// "opencl (DEVICE)".
-  std::string name() const override;
-
-  const OpenClTimes& last_times() const;
-
- protected:
-  /// Throws DeviceError when the device fails; dst is undefined then.
-  void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
-                     cv::Mat& dst) override;
-
- private:
-  class Impl;  // keeps OpenCL's headers out of this one
-  static std::unique_ptr<Impl> make_impl(const std::string& device, OpenClTuning tuning);
-  OpenClEngine(std::unique_ptr<Impl> impl, int threads);
-
-  std::unique_ptr<Impl> impl_;
+  virtual const OpenClTimes& last_times() const = 0;
 };
+
+/// The engine, of which name() is "opencl (DEVICE)".
+/// @param device   an index into opencl_devices(), a part of a name there in any case, or empty: the first GPU, else
+///                 the first device
+/// @param threads  that prepare the taps at most, >= 0; 0: one for each core, see parallel_for_ranges
+/// Throws DeviceError when there is no such device, it cannot build the program, or the library was built without
+/// OpenCL. filter() throws DeviceError when the device fails; dst is undefined then.
+std::unique_ptr<OpenClEngine> make_opencl_engine(const std::string& device, int threads,
+                                                 OpenClTuning tuning = OpenClTuning::DEVICE);
 
 }  // namespace gyro_deblur

@@ -49,7 +49,7 @@ class TransferBuffer {
     }
   }
 
-  /// Waits for the device and has `read(const void*)` take `bytes`.
+  /// Waits for the device and has `read(void*)` take `bytes`.
   template <typename Read>
   void download(std::size_t bytes, std::vector<cl::Event>* events, const Read& read) {
     events->emplace_back();

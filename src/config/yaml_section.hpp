@@ -1,4 +1,5 @@
-// Reading the maps of a calibration file, with errors that name file and key, and the keys that nobody asked for.
+// Reading the maps of a calibration file or of a recording's description, with errors that name file and key, and the
+// keys that nobody asked for.
 #pragma once
 
 #include <initializer_list>
@@ -14,7 +15,7 @@
 
 namespace gyro_deblur {
 
-/// A map of a calibration file. All functions that return a value throw OptionError that begins with file and key when
+/// A map of such a file. All functions that return a value throw OptionError that begins with file and key when
 /// the key is missing or has the wrong form.
 class Section {
  public:
@@ -41,7 +42,6 @@ class Section {
   std::vector<double> numbers(const std::string& key, std::size_t count) const;
   /// A list of rows, or OpenCV's map of rows, cols and data.
   Eigen::MatrixXd matrix(const std::string& key, int rows, int cols) const;
-  Eigen::Matrix3d rotation(const std::string& key) const;
   /// A rigid transform as 4x4 numbers.
   Eigen::Isometry3d transform(const std::string& key) const;
 

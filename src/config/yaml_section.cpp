@@ -1,5 +1,5 @@
-// Reads values from a map of a calibration file.
-#include "config/calibration_section.hpp"
+// Reads values from a map of a YAML file.
+#include "config/yaml_section.hpp"
 
 #include <set>
 #include <utility>
@@ -102,10 +102,6 @@ Eigen::MatrixXd Section::matrix(const std::string& key, int rows, int cols) cons
   }
   return Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(values.data(), rows,
                                                                                                   cols);
-}
-
-Eigen::Matrix3d Section::rotation(const std::string& key) const {
-  return require_rotation(name(key).c_str(), Eigen::Matrix3d(matrix(key, 3, 3)));
 }
 
 Eigen::Isometry3d Section::transform(const std::string& key) const {
