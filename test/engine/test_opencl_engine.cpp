@@ -1,4 +1,4 @@
-// The OpenCL engine against the float engine, with the kernels of a processor and of a GPU. Both run on any device.
+// The OpenCL engine against the float engine, with mapped and with pinned memory. Both run on any device.
 #include "engine/opencl/opencl_engine.hpp"
 
 #include <algorithm>
@@ -9,7 +9,6 @@
 
 #include <gtest/gtest.h>
 
-#include "base/stopwatch.hpp"
 #include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/float/float_engine.hpp"
@@ -46,7 +45,7 @@ cv::Mat textured(int width_px, int height_px, int channels, int depth) {
 
 double largest_difference(const cv::Mat& a, const cv::Mat& b) { return cv::norm(a, b, cv::NORM_INF); }
 
-class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
+class OpenClEngineTest : public testing::TestWithParam<bool> {
  protected:
   void SetUp() override {
     if (opencl_devices().empty()) GTEST_SKIP() << "there is no OpenCL device";
@@ -65,7 +64,7 @@ class OpenClEngineTest : public testing::TestWithParam<OpenClTuning> {
     return dst;
   }
 
-  std::unique_ptr<OpenClEngine> engine_;
+  std::unique_ptr<Engine> engine_;
   FloatEngine float_{kThreads};
   FilterBank bank_{FilterOptions{}};
 };
@@ -155,24 +154,6 @@ TEST_P(OpenClEngineTest, FiltersKernelsOfAnyShape) {
   }
 }
 
-TEST_P(OpenClEngineTest, ReportsHowLongDeviceAndHostTook) {
-  const cv::Mat image = textured(300, 200, 1, CV_8U);
-  const FilterGrid blocks = varied_blocks(300, 200, 64, 60, bank_);
-  cv::Mat dst;
-  const Stopwatch watch;
-  engine_->filter(image, blocks, dst);
-  const double whole_ms = watch.ms();
-  const OpenClTimes& times = engine_->last_times();
-  EXPECT_GT(times.kernel_ms, 0);
-  EXPECT_GE(times.upload_ms, 0);
-  EXPECT_GE(times.download_ms, 0);
-  for (const double ms : {times.plan_ms, times.fill_ms, times.wait_ms, times.store_ms}) EXPECT_GT(ms, 0);
-  EXPECT_LE(times.plan_ms + times.fill_ms + times.wait_ms + times.store_ms, whole_ms);
-
-  actual(image, test::make_grid(image.size(), 64, [](int) { return BlockFilter{}; }));
-  EXPECT_EQ(engine_->last_times().kernel_ms + engine_->last_times().plan_ms, 0);
-}
-
 TEST_P(OpenClEngineTest, RefusesOtherTypes) {
   cv::Mat dst;
   EXPECT_THROW(engine_->filter(cv::Mat(8, 8, CV_32FC1), {}, dst), std::invalid_argument);
@@ -191,10 +172,8 @@ TEST_P(OpenClEngineTest, ReportsWhatTheDeviceCannotDo) {
   EXPECT_LE(largest_difference(expected(image, blocks), actual(image, blocks)), 1);
 }
 
-std::string tuning_name(const testing::TestParamInfo<OpenClTuning>& info) {
-  return info.param == OpenClTuning::CPU ? "Cpu" : "Gpu";
-}
-INSTANTIATE_TEST_SUITE_P(Tunings, OpenClEngineTest, testing::Values(OpenClTuning::CPU, OpenClTuning::GPU), tuning_name);
+std::string memory_name(const testing::TestParamInfo<bool>& info) { return info.param ? "Pinned" : "Mapped"; }
+INSTANTIATE_TEST_SUITE_P(Memory, OpenClEngineTest, testing::Bool(), memory_name);
 
 class OpenClDeviceTest : public testing::Test {
  protected:

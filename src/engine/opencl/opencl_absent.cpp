@@ -4,7 +4,7 @@
 
 namespace gyro_deblur {
 
-std::unique_ptr<OpenClEngine> make_opencl_engine(const std::string&, int, OpenClTuning) {
+std::unique_ptr<Engine> make_opencl_engine(const std::string&, int, bool) {
   throw DeviceError("gyro_deblur was built without OpenCL");
 }
 

@@ -8,10 +8,9 @@
 #include <cstring>
 #include <limits>
 #include <type_traits>
-#include <utility>
 
 #include "base/parallel.hpp"
-#include "base/stopwatch.hpp"
+#include "engine/block_engine.hpp"
 #include "engine/engine.hpp"
 #include "engine/fallback_engine.hpp"
 #include "engine/opencl/opencl_api.hpp"
@@ -31,35 +30,9 @@ struct Tile {
   cl_int u, v, cols, rows, first_step, steps, first_m, transposed, to, step_y;
 };
 
-/// Shape of the work, see line_convolution.cl.
-struct Shape {
-  int lanes, vectors, rows, group_cols, group_rows, tile_cols, tile_rows, stage_steps;
-  int patch, patch_group;  // of load_plane: side of a work-item's square, work-items on a side of a work-group
-  bool use_fma;
-
-  std::string build_options() const {
-    const std::pair<const char*, int> macros[] = {
-        {"LANES", lanes},           {"VECTORS", vectors},         {"ROWS", rows},
-        {"GROUP_COLS", group_cols}, {"GROUP_ROWS", group_rows},   {"TILE_COLS", tile_cols},
-        {"TILE_ROWS", tile_rows},   {"STAGE_STEPS", stage_steps}, {"PATCH", patch}};
-    std::string options = "-cl-std=CL1.2 -cl-mad-enable";
-    for (const auto& [name, value] : macros) options += std::string(" -D ") + name + "=" + std::to_string(value);
-    return options + " -D MULTIPLY_ADD=" + (use_fma ? "fma" : "mad");
-  }
-};
-
-// 216 work-items of 8 outputs, so that a block of 64 px with its margins is three tiles; 23 KiB of staged input serve
-// 32 steps, 18 multiply-adds for every float staged.
-constexpr Shape kGpuShape{1, 1, 8, 72, 3, 72, 24, 32, 1, 16, false};
-
-/// As many sums as the vector registers hold in addition to the pixels: 8 x 3 of 32 registers, 4 x 3 of 16. Three
-/// vectors of 8 divide the 72 px of a block and its margins.
-Shape cpu_shape(const cl::Device& device) {
-  const int native = static_cast<int>(device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_FLOAT>());
-  const bool has_fma = (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_FMA) != 0;
-  const int lanes = native >= 8 ? 8 : 4;
-  return {lanes, 3, native >= 16 ? 8 : 4, 1, 1, 72, 72, 0, 32, 1, has_fma};
-}
+// Work-groups of 216 work-items with 8 outputs each, so that a block of 64 px with its margins is three tiles.
+constexpr int kGroupCols = 72, kGroupRows = 3, kOutputsPerItem = 8;
+constexpr int kGroupTileRows = kGroupRows * kOutputsPerItem;
 
 std::string lower_case(std::string text) {
   std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::tolower(c); });
@@ -133,19 +106,6 @@ std::string one_line(std::string text) {
   return text;
 }
 
-double duration_ms(const cl::Event& event) {
-  constexpr double kNsPerMs = 1e6;
-  return static_cast<double>(event.getProfilingInfo<CL_PROFILING_COMMAND_END>() -
-                             event.getProfilingInfo<CL_PROFILING_COMMAND_START>()) /
-         kNsPerMs;
-}
-
-double duration_ms(const std::vector<cl::Event>& events) {
-  double sum = 0;
-  for (const cl::Event& event : events) sum += duration_ms(event);
-  return sum;
-}
-
 /// One channel as float with its border, on the device.
 struct Plane {
   bool used = false;
@@ -169,12 +129,12 @@ struct Plane {
   }
 
   /// For an image of size_u x size_v whose steps reach border_u and border_v, with a tile to spare at the far ends.
-  void lay_out(const cl::Context& context, const Shape& shape, int size_u, int size_v) {
+  void lay_out(const cl::Context& context, int size_u, int size_v) {
     // An odd number of cache lines a row, so that pixels above each other do not compete for the same cache set.
     constexpr std::int64_t kFloatsPerCacheLine = 16;
-    const std::int64_t lines = (size_u + 2 * border_u + shape.tile_cols) / kFloatsPerCacheLine + 1;
+    const std::int64_t lines = (size_u + 2 * border_u + kGroupCols) / kFloatsPerCacheLine + 1;
     const std::int64_t wide = (lines | 1) * kFloatsPerCacheLine;
-    const std::int64_t high = size_v + 2 * border_v + shape.tile_rows;
+    const std::int64_t high = size_v + 2 * border_v + kGroupTileRows;
     if (wide * high > std::numeric_limits<cl_int>::max()) {
       throw DeviceError("the padded image of " + std::to_string(wide) + "x" + std::to_string(high) +
                         " px is too large");
@@ -189,26 +149,23 @@ struct Plane {
   }
 };
 
-/// Everything of the engine that needs OpenCL's headers.
-class DeviceEngine : public OpenClEngine {
+class OpenClEngine : public BlockEngine {
  public:
   // A device on the processor has threads of its own, on the same cores.
-  DeviceEngine(const cl::Device& device, int threads, OpenClTuning tuning)
-      : OpenClEngine(is_processor(device) ? 1 : threads),
+  OpenClEngine(const cl::Device& device, int threads, bool pinned)
+      : BlockEngine(is_processor(device) ? 1 : threads),
         device_(device),
         name_("opencl (" + device.getInfo<CL_DEVICE_NAME>() + ")"),
-        shape_(use_gpu_shape(device, tuning) ? kGpuShape : cpu_shape(device)),
         context_(device),
-        queue_(context_, device, CL_QUEUE_PROFILING_ENABLE),
-        image_(context_, queue_, shares_memory(device, tuning)),
-        steps_(context_, queue_, shares_memory(device, tuning)),
-        tiles_(context_, queue_, shares_memory(device, tuning)),
-        result_(context_, queue_, shares_memory(device, tuning)) {
+        queue_(context_, device),
+        image_(context_, queue_, shares_memory(device, pinned)),
+        steps_(context_, queue_, shares_memory(device, pinned)),
+        tiles_(context_, queue_, shares_memory(device, pinned)),
+        result_(context_, queue_, shares_memory(device, pinned)) {
     program(CV_8U);
   }
 
   std::string name() const override { return name_; }
-  const OpenClTimes& last_times() const override { return times_; }
 
  protected:
   void filter_blocks(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, SeamBlender& seams,
@@ -230,21 +187,24 @@ class DeviceEngine : public OpenClEngine {
   static bool is_processor(const cl::Device& device) {
     return (device.getInfo<CL_DEVICE_TYPE>() & CL_DEVICE_TYPE_CPU) != 0;
   }
-  static bool use_gpu_shape(const cl::Device& device, OpenClTuning tuning) {
-    return tuning == OpenClTuning::DEVICE ? !is_processor(device) : tuning == OpenClTuning::GPU;
+  static bool shares_memory(const cl::Device& device, bool pinned) {
+    return !pinned && device.getInfo<CL_DEVICE_HOST_UNIFIED_MEMORY>();
   }
-  static bool shares_memory(const cl::Device& device, OpenClTuning tuning) {
-    return tuning != OpenClTuning::GPU && device.getInfo<CL_DEVICE_HOST_UNIFIED_MEMORY>();
+
+  std::string build_options(int depth) const {
+    const bool use_fma = is_processor(device_) && (device_.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_FMA) != 0;
+    return std::string("-cl-std=CL1.2 -cl-mad-enable") +
+           (depth == CV_8U ? " -D PIXEL=uchar -D PIXEL_MAX=255" : " -D PIXEL=ushort -D PIXEL_MAX=65535") +
+           " -D ROWS=" + std::to_string(kOutputsPerItem) + " -D GROUP_COLS=" + std::to_string(kGroupCols) +
+           " -D GROUP_ROWS=" + std::to_string(kGroupRows) + " -D MULTIPLY_ADD=" + (use_fma ? "fma" : "mad");
   }
 
   Program& program(int depth) {
     const int slot = depth == CV_8U ? 0 : 1;
     if (built_[slot]) return programs_[slot];
-    const std::string options = shape_.build_options() + (depth == CV_8U ? " -D PIXEL=uchar -D PIXEL_MAX=255"
-                                                                         : " -D PIXEL=ushort -D PIXEL_MAX=65535");
     cl::Program built(context_, std::string(kLineConvolutionSource));
     try {
-      built.build({device_}, options.c_str());
+      built.build({device_}, build_options(depth).c_str());
     } catch (const cl::Error& error) {
       throw DeviceError("building the OpenCL program: error " + std::to_string(error.err()) + ": " +
                         one_line(built.getBuildInfo<CL_PROGRAM_BUILD_LOG>(device_)));
@@ -252,9 +212,9 @@ class DeviceEngine : public OpenClEngine {
     Program& made = programs_[slot];
     made.load_plane = cl::Kernel(built, "load_plane");
     made.convolve_tiles = cl::Kernel(built, "convolve_tiles");
-    const std::size_t group = static_cast<std::size_t>(shape_.group_cols) * shape_.group_rows;
-    if (made.convolve_tiles.getWorkGroupInfo<CL_KERNEL_WORK_GROUP_SIZE>(device_) < group) {
-      throw DeviceError("the device does not take work-groups of " + std::to_string(group));
+    constexpr std::size_t kGroupSize = kGroupCols * kGroupRows;
+    if (made.convolve_tiles.getWorkGroupInfo<CL_KERNEL_WORK_GROUP_SIZE>(device_) < kGroupSize) {
+      throw DeviceError("the device does not take work-groups of " + std::to_string(kGroupSize));
     }
     built_[slot] = true;
     return made;
@@ -282,8 +242,8 @@ class DeviceEngine : public OpenClEngine {
     std::stable_sort(tile_list_.begin(), tile_list_.end(),
                      [](const Tile& a, const Tile& b) { return a.steps > b.steps; });
     // A plane that is not used is still an argument of the kernel, and has to exist.
-    upright_.lay_out(context_, shape_, upright_.used ? src.cols : 1, upright_.used ? src.rows : 1);
-    transposed_.lay_out(context_, shape_, transposed_.used ? src.rows : 1, transposed_.used ? src.cols : 1);
+    upright_.lay_out(context_, upright_.used ? src.cols : 1, upright_.used ? src.rows : 1);
+    transposed_.lay_out(context_, transposed_.used ? src.rows : 1, transposed_.used ? src.cols : 1);
   }
 
   /// Appends the tiles, the steps and the results of a block.
@@ -295,11 +255,11 @@ class DeviceEngine : public OpenClEngine {
     result_values_ += static_cast<std::size_t>(rect.area()) * channels;
     const int u0 = line.major_is_y ? rect.y : rect.x, cols = line.major_is_y ? rect.height : rect.width;
     const int v0 = line.major_is_y ? rect.x : rect.y, rows = line.major_is_y ? rect.width : rect.height;
-    for (int v = 0; v < rows; v += shape_.tile_rows) {
-      for (int u = 0; u < cols; u += shape_.tile_cols) {
-        tile_list_.push_back({u0 + u, v0 + v, std::min(shape_.tile_cols, cols - u),
-                              std::min(shape_.tile_rows, rows - v), static_cast<cl_int>(step_count_), steps,
-                              line.first_m, line.major_is_y ? 1 : 0, start + v * step_v + u * step_u, step_y});
+    for (int v = 0; v < rows; v += kGroupTileRows) {
+      for (int u = 0; u < cols; u += kGroupCols) {
+        tile_list_.push_back({u0 + u, v0 + v, std::min(kGroupCols, cols - u), std::min(kGroupTileRows, rows - v),
+                              static_cast<cl_int>(step_count_), steps, line.first_m, line.major_is_y ? 1 : 0,
+                              start + v * step_v + u * step_u, step_y});
       }
     }
     step_count_ += line.steps.size();
@@ -307,11 +267,11 @@ class DeviceEngine : public OpenClEngine {
 
   /// Steps of `count` lines, and tiles.
   void upload_plan(int count) {
-    steps_.upload(std::max<std::size_t>(step_count_, 1) * sizeof(StepTaps), &upload_events_, [&](void* host) {
+    steps_.upload(std::max<std::size_t>(step_count_, 1) * sizeof(StepTaps), [&](void* host) {
       StepTaps* to = static_cast<StepTaps*>(host);
       for (int i = 0; i < count; ++i) to = std::copy(lines_[i].steps.begin(), lines_[i].steps.end(), to);
     });
-    tiles_.upload(tile_list_.size() * sizeof(Tile), &upload_events_,
+    tiles_.upload(tile_list_.size() * sizeof(Tile),
                   [&](void* host) { std::memcpy(host, tile_list_.data(), tile_list_.size() * sizeof(Tile)); });
   }
 
@@ -328,13 +288,13 @@ class DeviceEngine : public OpenClEngine {
     for (const cl_int argument : {plane.stride, plane.rows, plane.border_u, plane.border_v}) {
       kernel.setArg(index++, argument);
     }
-    const auto groups = [&](int length) {
-      const int span = shape_.patch * shape_.patch_group;
-      return static_cast<std::size_t>((length + span - 1) / span * shape_.patch_group);
+    constexpr int kGroupSide = 16;
+    const auto whole_groups = [](int length) {
+      return static_cast<std::size_t>((length + kGroupSide - 1) / kGroupSide * kGroupSide);
     };
-    kernel_events_.emplace_back();
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(groups(plane.stride), groups(plane.rows)),
-                                cl::NDRange(shape_.patch_group, shape_.patch_group), nullptr, &kernel_events_.back());
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange,
+                                cl::NDRange(whole_groups(plane.stride), whole_groups(plane.rows)),
+                                cl::NDRange(kGroupSide, kGroupSide));
   }
 
   void convolve(Program& program, int channel, int channels) {
@@ -348,25 +308,17 @@ class DeviceEngine : public OpenClEngine {
     }
     kernel.setArg(index++, result_.device());
     for (const cl_int argument : {channel, channels}) kernel.setArg(index++, argument);
-    kernel_events_.emplace_back();
-    queue_.enqueueNDRangeKernel(kernel, cl::NullRange,
-                                cl::NDRange(tile_list_.size() * shape_.group_cols, shape_.group_rows),
-                                cl::NDRange(shape_.group_cols, shape_.group_rows), nullptr, &kernel_events_.back());
+    queue_.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(tile_list_.size() * kGroupCols, kGroupRows),
+                                cl::NDRange(kGroupCols, kGroupRows));
   }
 
   /// Has the device begin with a frame.
   void start(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, const SeamBlender& seams) {
-    for (std::vector<cl::Event>* events : {&upload_events_, &kernel_events_, &download_events_}) events->clear();
-    times_ = {};
     if (blocks.empty()) return;
     Program& kernels = program(src.depth());
-    Stopwatch watch;
     // First: a driver may begin the transfer during the rest.
-    image_.upload(src.total() * src.elemSize(), &upload_events_,
-                  [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
-    times_.fill_ms = watch.lap();
+    image_.upload(src.total() * src.elemSize(), [&](void* host) { src.copyTo(cv::Mat(src.size(), src.type(), host)); });
     plan(src, grid, blocks, seams);
-    times_.plan_ms = watch.lap();
     upload_plan(static_cast<int>(blocks.size()));
     result_.reserve(result_values_ * src.elemSize1());
     for (int channel = 0; channel < src.channels(); ++channel) {
@@ -375,30 +327,22 @@ class DeviceEngine : public OpenClEngine {
       convolve(kernels, channel, src.channels());
     }
     queue_.flush();
-    times_.fill_ms += watch.ms();
   }
 
   /// Waits for the device and stores what it was started with.
   void finish(const std::vector<int>& blocks, SeamBlender& seams, cv::Mat& dst) {
     if (blocks.empty()) return;
-    Stopwatch watch;
-    result_.download(result_values_ * dst.elemSize1(), &download_events_, [&](void* host) {
-      times_.wait_ms = watch.lap();
+    result_.download(result_values_ * dst.elemSize1(), [&](void* host) {
       constexpr int kBlocksAtATime = 8;
       parallel_for(static_cast<int>(blocks.size()), threads(), kBlocksAtATime, [&](int i) {
         uchar* result = static_cast<uchar*>(host) + result_starts_[i] * dst.elemSize1();
         seams.store(blocks[i], cv::Mat(seams.reach(blocks[i]).size(), dst.type(), result), dst);
       });
-      times_.store_ms = watch.ms();
     });
-    times_.upload_ms = duration_ms(upload_events_);
-    times_.kernel_ms = duration_ms(kernel_events_);
-    times_.download_ms = duration_ms(download_events_);
   }
 
   cl::Device device_;
   std::string name_;
-  Shape shape_;
   cl::Context context_;
   cl::CommandQueue queue_;
   Program programs_[2];  // 8 and 16 bit, built on first use
@@ -411,8 +355,6 @@ class DeviceEngine : public OpenClEngine {
   std::size_t result_values_ = 0;
   std::vector<Tile> tile_list_;
   std::size_t step_count_ = 0;
-  std::vector<cl::Event> upload_events_, kernel_events_, download_events_;
-  OpenClTimes times_;
 };
 
 }  // namespace
@@ -423,9 +365,9 @@ std::vector<std::string> opencl_devices() {
   return names;
 }
 
-std::unique_ptr<OpenClEngine> make_opencl_engine(const std::string& device, int threads, OpenClTuning tuning) {
+std::unique_ptr<Engine> make_opencl_engine(const std::string& device, int threads, bool pinned) {
   try {
-    return std::make_unique<DeviceEngine>(choose_opencl_device(device), threads, tuning);
+    return std::make_unique<OpenClEngine>(choose_opencl_device(device), threads, pinned);
   } catch (const cl::Error& error) {
     throw device_error(error);
   }

@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <utility>
-#include <vector>
 
 #include "engine/opencl/opencl_api.hpp"
 
@@ -34,31 +33,27 @@ class TransferBuffer {
 
   /// Has `fill(void*)` write `bytes` and takes them to the device.
   template <typename Fill>
-  void upload(std::size_t bytes, std::vector<cl::Event>* events, const Fill& fill) {
+  void upload(std::size_t bytes, const Fill& fill) {
     reserve(bytes);
-    events->emplace_back();
     if (shared_memory_) {
-      void* host =
-          queue_.enqueueMapBuffer(device_, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, bytes, nullptr, &events->back());
+      void* host = queue_.enqueueMapBuffer(device_, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, bytes);
       fill(host);
-      events->emplace_back();
-      queue_.enqueueUnmapMemObject(device_, host, nullptr, &events->back());
+      queue_.enqueueUnmapMemObject(device_, host);
     } else {
       fill(host_);
-      queue_.enqueueWriteBuffer(device_, CL_FALSE, 0, bytes, host_, nullptr, &events->back());
+      queue_.enqueueWriteBuffer(device_, CL_FALSE, 0, bytes, host_);
     }
   }
 
   /// Waits for the device and has `read(void*)` take `bytes`.
   template <typename Read>
-  void download(std::size_t bytes, std::vector<cl::Event>* events, const Read& read) {
-    events->emplace_back();
+  void download(std::size_t bytes, const Read& read) {
     if (shared_memory_) {
-      void* host = queue_.enqueueMapBuffer(device_, CL_TRUE, CL_MAP_READ, 0, bytes, nullptr, &events->back());
+      void* host = queue_.enqueueMapBuffer(device_, CL_TRUE, CL_MAP_READ, 0, bytes);
       read(host);
       queue_.enqueueUnmapMemObject(device_, host);
     } else {
-      queue_.enqueueReadBuffer(device_, CL_TRUE, 0, bytes, host_, nullptr, &events->back());
+      queue_.enqueueReadBuffer(device_, CL_TRUE, 0, bytes, host_);
       read(host_);
     }
   }
