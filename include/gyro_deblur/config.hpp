@@ -84,8 +84,6 @@ struct Config {
   OnCalibrationConflict on_calibration_conflict = OnCalibrationConflict::ERROR;
   TimeNs input_timeout_ns = 500'000'000;  ///< how long a frame waits for gyroscope, camera_info, exposure and tf
   int frame_queue_size = 30;              ///< frames that may wait
-  TimeNs bias_window_ns = 1'000'000'000;  ///< constant: samples that ~estimate_gyro_bias averages
-  double bias_max_stddev_rad_s = 0.05;    ///< of single samples at rest
   TimeNs time_jump_ns = 500'000'000;      ///< constant: a stamp that goes back by more is a clock reset
   /// How long an image waits until the other one of its stereo pair is decided on; 0: each camera on its own.
   TimeNs stereo_sync_timeout_ns = 100'000'000;

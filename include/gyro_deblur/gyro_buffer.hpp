@@ -3,8 +3,6 @@
 
 #include <deque>
 #include <limits>
-#include <optional>
-#include <string>
 #include <vector>
 
 #include <Eigen/Core>
@@ -52,20 +50,5 @@ class GyroBuffer {
   TimeNs capacity_ns_;
   std::deque<GyroSample> samples_;
 };
-
-/// Mean rate of a sensor at rest.
-struct BiasEstimate {
-  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
-  Eigen::Vector3d stddev_rad_s = Eigen::Vector3d::Zero();  ///< of single samples about the mean
-  std::size_t samples = 0;
-};
-
-/// Averages `samples` and checks that the sensor was at rest.
-/// @param max_stddev_rad_s  each axis must scatter less than this (> 0)
-/// @param min_samples       at least this many are needed (>= 2)
-/// @param error             set to one line with the value and the limit on failure; must not be null
-/// @return nothing when there are too few samples, or they move too much.
-std::optional<BiasEstimate> estimate_stationary_bias(const std::vector<GyroSample>& samples, double max_stddev_rad_s,
-                                                     std::size_t min_samples, std::string* error);
 
 }  // namespace gyro_deblur

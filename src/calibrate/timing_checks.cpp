@@ -116,7 +116,7 @@ std::vector<TimingObjection> timing_objections(const TimingEstimate& estimate, c
                         false},
         TimingObjection{"gyro_bias",
                         loose("gyro_bias", bias_stddev_rad_s, UsefulStddev::kBiasRadS, 1, 3, "rad/s",
-                              "let the camera stand still and call ~estimate_gyro_bias, or record for longer"),
+                              "leave it empty and let the camera rest for a while, or record for longer"),
                         false},
         TimingObjection{"R_cam_imu",
                         loose("R_cam_imu", estimate.rotation_stddev_rad.maxCoeff(), UsefulStddev::kRotationRad,

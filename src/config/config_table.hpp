@@ -135,11 +135,6 @@ void visit(Table<Config>, V&& visitor) {
   visitor({"frame_queue_size", within(1, 1000),
            "Most frames that wait for other messages. When more arrive, the oldest is passed through unchanged."},
           &O::frame_queue_size);
-  visitor({"bias_max_stddev", above(0, 1, "rad/s"),
-           "Largest standard deviation of the rates at which ~estimate_gyro_bias takes the sensor to be at rest."},
-          &O::bias_max_stddev_rad_s);
-  visitor({"bias_window", within(0.1, 10, "s"), "200 samples of a slow IMU, and no long wait.", Change::NEVER},
-          &O::bias_window_ns);
   visitor({"time_jump_threshold", within(0.01, 10, "s"),
            "More than stamps of one clock are out of order, less than a bag that is played again goes back.",
            Change::NEVER},

@@ -1,11 +1,10 @@
-// Stores gyroscope samples in order and estimates their bias at rest.
+// Stores gyroscope samples in order.
 #include "gyro_deblur/gyro_buffer.hpp"
 
 #include <algorithm>
 #include <iterator>
 #include <stdexcept>
-
-#include "base/format.hpp"
+#include <string>
 
 namespace gyro_deblur {
 
@@ -42,32 +41,6 @@ std::vector<GyroSample> GyroBuffer::window(const TimeRange& requested) const {
   if (first != samples_.begin()) --first;
   if (last != samples_.end()) ++last;
   return {first, last};
-}
-
-std::optional<BiasEstimate> estimate_stationary_bias(const std::vector<GyroSample>& samples, double max_stddev_rad_s,
-                                                     std::size_t min_samples, std::string* error) {
-  const std::size_t needed = std::max<std::size_t>(min_samples, 2);
-  if (samples.size() < needed) {
-    *error = format("gyro bias: %zu samples, at least %zu are needed", samples.size(), needed);
-    return std::nullopt;
-  }
-  BiasEstimate estimate;
-  estimate.samples = samples.size();
-  const double n = static_cast<double>(samples.size());
-  for (const GyroSample& sample : samples) estimate.bias_rad_s += sample.rate_rad_s / n;
-  Eigen::Vector3d variance = Eigen::Vector3d::Zero();
-  for (const GyroSample& sample : samples) {
-    variance += (sample.rate_rad_s - estimate.bias_rad_s).cwiseAbs2() / (n - 1);
-  }
-  estimate.stddev_rad_s = variance.cwiseSqrt();
-  for (int axis = 0; axis < 3; ++axis) {
-    if (estimate.stddev_rad_s[axis] < max_stddev_rad_s) continue;  // not so for NaN
-    *error =
-        format("gyro bias: the sensor moves: standard deviation %g rad/s about axis %c, less than %g rad/s is needed",
-               estimate.stddev_rad_s[axis], "xyz"[axis], max_stddev_rad_s);
-    return std::nullopt;
-  }
-  return estimate;
 }
 
 }  // namespace gyro_deblur

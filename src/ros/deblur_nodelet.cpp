@@ -158,7 +158,6 @@ void DeblurNodelet::onInit() {
   advertise_service("reset", [this](std::string* text) { return on_reset(text); });
   advertise_service("reset_calibration", [this](std::string* text) { return on_reset_calibration(text); });
   advertise_service("save_calibration", [this](std::string* text) { return on_save_calibration(text); });
-  advertise_service("estimate_gyro_bias", [this](std::string* text) { return processor_->estimate_bias(text); });
   start_diagnostics();
 }
 

@@ -54,8 +54,8 @@ std::string error_text(const GyroError& error, const Eigen::Vector3d& bias_rad_s
   switch (error.kind) {
     case GyroError::Kind::BIAS:
       return "the images rotate by " + vector_text(-error.vector) +
-             format(" rad/s relative to the gyroscope for %.0f s: a bias; call ", error.seconds) +
-             "estimate_gyro_bias at rest, or set gyro_bias to " + vector_text(bias_rad_s + error.vector);
+             format(" rad/s relative to the gyroscope for %.0f s: a bias; leave gyro_bias empty and ", error.seconds) +
+             "let the camera rest for a while, or set gyro_bias to " + vector_text(bias_rad_s + error.vector);
     case GyroError::Kind::EXTRINSIC:
       return format(
           "the images rotate about another axis than the gyroscope for %.0f s: R_cam_imu is off by about "

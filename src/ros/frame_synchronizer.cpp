@@ -267,7 +267,6 @@ Readiness FrameSynchronizer::plan_exposure(TimeNs given_ns, ExposureOrigin origi
 
 Readiness FrameSynchronizer::find_samples(PendingFrame* frame, PictureMotion* motion) const {
   motion->gyro = config().gyro;
-  motion->gyro.bias_rad_s = calibration_.bias_rad_s();
   motion->lens = frame->lens;
   if (frame->lens == Lens::UNKNOWN) {  // what the gyroscope measures cannot be compared with pixels
     motion->without_gyro = true;

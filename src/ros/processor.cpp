@@ -310,7 +310,6 @@ Awaited Processor::awaited() const {
 void Processor::reset() {
   const std::lock_guard<std::mutex> lock(mutex_);
   synchronizer_.reset();
-  calibration_.set_measured_bias({});
   self_calibrator_.restart();
   gyro_errors_.clear();
   exposures_.reset();
@@ -339,20 +338,6 @@ std::optional<Processor::CalibrationByImages> Processor::calibration_by_images()
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!image_size_) return std::nullopt;
   return CalibrationByImages{calibration_.by_images(), image_size_->width, image_size_->height};
-}
-
-bool Processor::estimate_bias(std::string* text) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (!config_) {
-    *text = "the configuration cannot be used: " + synchronizer_.config_error();
-    return false;
-  }
-  const std::optional<Eigen::Vector3d> bias_rad_s = gyro_deblur::estimate_bias(synchronizer_.gyro(), *config_, text);
-  if (bias_rad_s) {
-    calibration_.set_measured_bias(bias_rad_s);
-    gyro_errors_.clear();
-  }
-  return bias_rad_s.has_value();
 }
 
 }  // namespace gyro_deblur

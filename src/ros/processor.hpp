@@ -30,7 +30,6 @@
 #include "ros/self_calibrator.hpp"
 #include "ros/statistics.hpp"
 #include "sync/calibration_in_use.hpp"
-#include "sync/gyro_bias.hpp"
 #include "sync/gyro_source.hpp"
 #include "sync/input_problems.hpp"
 #include "sync/stereo_rig.hpp"
@@ -133,12 +132,8 @@ class Processor {
   /// What the foremost of them waits for, as of the last call of advance.
   Awaited awaited() const;
 
-  /// As after the start: waiting frames are passed through as TIME_JUMP, samples and an estimated bias are forgotten.
+  /// As after the start: waiting frames are passed through as TIME_JUMP, samples are forgotten.
   void reset();
-
-  /// Averages the newest samples over the configured window and uses the result as bias.
-  /// @return true, and the bias in `text`; false with the cause in `text` when the sensor moved or samples are missing
-  bool estimate_bias(std::string* text);
 
   /// Forgets the calibration that was estimated from the images.
   void reset_calibration();

@@ -142,7 +142,7 @@ ProcessorStatistics Processor::statistics() const {
   statistics.gyro_available = synchronizer_.gyro().available();
   if (pipeline_) statistics.engine = pipeline_->engine();
   statistics.configuration_error = synchronizer_.config_error();
-  statistics.bias_rad_s = calibration_.bias_rad_s();
+  statistics.bias_rad_s = calibration_.config().gyro.bias_rad_s;
   if (config_) statistics.calibration = calibration_.table();
   statistics.gyro_error = gyro_errors_.find();
   statistics.input_problems = problems_.all();

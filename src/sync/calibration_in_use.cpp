@@ -209,7 +209,7 @@ UsedCalibration CalibrationInUse::used() const {
     used.readout_ns = {
         {to_ns(to_seconds(given_.shutter.readout_ns) * readout_share_), source(file.readout_ns.has_value())}};
   }
-  if (given_.given.gyro_bias && !measured_bias_rad_s_) used.bias_rad_s = {{given_.gyro.bias_rad_s, "parameter"}};
+  if (given_.given.gyro_bias) used.bias_rad_s = {{given_.gyro.bias_rad_s, "parameter"}};
   return used;
 }
 
@@ -247,12 +247,10 @@ std::vector<CalibrationRow> CalibrationInUse::table() const {
                      ? given_row("readout_time", to_seconds(in_use.readout_ns->value), in_use.readout_ns->source,
                                  learns(), learned_.readout_s)
                      : unknown("readout_time", taken_.readout_s, learned_.readout_s.missing, "0 s is used"));
-  if (measured_bias_rad_s_ || given_.given.gyro_bias) {
-    rows.push_back(given_row("gyro_bias", measured_bias_rad_s_.value_or(given_.gyro.bias_rad_s),
-                             measured_bias_rad_s_ ? "estimate_gyro_bias" : "parameter", learns(), learned_.bias_rad_s));
-  } else {
-    rows.push_back(unknown("gyro_bias", taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
-  }
+  rows.push_back(
+      in_use.bias_rad_s
+          ? given_row("gyro_bias", in_use.bias_rad_s->value, in_use.bias_rad_s->source, learns(), learned_.bias_rad_s)
+          : unknown("gyro_bias", taken_.bias_rad_s, learned_.bias_rad_s.missing, "0 rad/s is used"));
   if (lens_known_ == false) {
     rows.push_back(unknown(kFocalLength, taken_.focal_length, learned_.focal_length.missing,
                            "images are deblurred by optical flow alone"));

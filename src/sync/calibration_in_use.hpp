@@ -53,10 +53,6 @@ class CalibrationInUse {
   void set_lens_known(bool known) { lens_known_ = known; }
   /// The rotation that tf has; nothing: none is used.
   void set_tf(const std::optional<Eigen::Matrix3d>& R_cam_imu) { from_tf_ = R_cam_imu; }
-  /// A bias that was measured at rest is used in place of the given one.
-  void set_measured_bias(const std::optional<Eigen::Vector3d>& bias_rad_s) { measured_bias_rad_s_ = bias_rad_s; }
-  /// The bias of the newest configuration that could be used, or the measured one.
-  Eigen::Vector3d bias_rad_s() const { return measured_bias_rad_s_.value_or(config_.gyro.bias_rad_s); }
 
   std::vector<CalibrationRow> table() const;
 
@@ -80,7 +76,6 @@ class CalibrationInUse {
   InputProblems& problems_;
   Config given_, config_;
   std::optional<Eigen::Matrix3d> R_cam_imu_, from_tf_;
-  std::optional<Eigen::Vector3d> measured_bias_rad_s_;
   LearnedCalibration learned_;        // newest
   LearnedCalibration taken_;          // in use where nothing is given
   std::set<std::string> remembered_;  // keys of values in taken_

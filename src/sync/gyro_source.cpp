@@ -11,7 +11,7 @@
 namespace gyro_deblur {
 
 GyroSource::Options GyroSource::options_of(const Config& config) {
-  return {std::max(config.gyro.buffer_ns, config.bias_window_ns), config.time_jump_ns, config.gyro};
+  return {config.gyro.buffer_ns, config.time_jump_ns, config.gyro};
 }
 
 GyroSource::GyroSource(const Options& options, Log log)

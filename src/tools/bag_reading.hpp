@@ -56,14 +56,14 @@ boost::shared_ptr<Message> read_message(const rosbag::MessageInstance& instance)
 }
 
 /// Calls `take(message)` for the messages of the type on the topics that were recorded in [begin, end], in
-/// their order, until it returns false. Throws MessageError.
+/// their order. Throws MessageError.
 template <typename Message, typename Take>
 void for_each_message(const rosbag::Bag& bag, const std::vector<std::string>& topics, Take take,
                       ros::Time begin = ros::TIME_MIN, ros::Time end = ros::TIME_MAX) {
   rosbag::View view(bag, rosbag::TopicQuery(topics), begin, end);
   for (const rosbag::MessageInstance& instance : view) {
     const boost::shared_ptr<Message> message = read_message<Message>(instance);
-    if (message && !take(*message)) return;
+    if (message) take(*message);
   }
 }
 

@@ -12,17 +12,13 @@
 #include <stdexcept>
 #include <string>
 #include <utility>
-#include <vector>
 
 #include <rosbag/view.h>
-#include <sensor_msgs/Imu.h>
-#include <Eigen/Core>
 #include <nlohmann/json.hpp>
 
 #include "blur/frame_quality.hpp"
 #include "gyro_deblur/config.hpp"
 #include "gyro_deblur/frame_blur.hpp"
-#include "gyro_deblur/gyro_buffer.hpp"
 #include "mask_file/mask_file.hpp"
 #include "ros/conversions.hpp"
 #include "ros/processing.hpp"
@@ -44,8 +40,7 @@ struct Arguments {
   NamedTopics topics;
   bool keep_all_topics = false;
   FrameRequest request;
-  std::optional<int> threads;  // absent: the configuration's
-  std::optional<double> bias_seconds;
+  std::optional<int> threads;   // absent: the configuration's
   double start_s = 0;           // of the slice, since the bag's first message
   std::optional<double> end_s;  // absent: to the bag's end
 };
@@ -55,24 +50,6 @@ struct Outcome {
   ProcessorStatistics statistics;
   double processing_ms = 0, bag_s = 0, wall_s = 0;
 };
-
-/// Bias [rad/s] from the first `seconds` of the IMU topic. Throws std::runtime_error when the sensor moved.
-Eigen::Vector3d bias_of_first(const rosbag::Bag& bag, const std::string& imu_topic, double seconds,
-                              double max_stddev_rad_s) {
-  std::vector<GyroSample> samples;
-  for_each_message<sensor_msgs::Imu>(bag, {imu_topic}, [&](const sensor_msgs::Imu& imu) {
-    const std::optional<GyroSample> sample = to_gyro_sample(imu);
-    if (!sample || !sample->rate_rad_s.allFinite()) return true;
-    if (!samples.empty() && sample->t_ns - samples.front().t_ns > to_ns(seconds)) return false;
-    samples.push_back(*sample);
-    return true;
-  });
-  std::string error;
-  const std::optional<BiasEstimate> estimate =
-      estimate_stationary_bias(samples, max_stddev_rad_s, kMinBiasSamples, &error);
-  if (!estimate) throw std::runtime_error("gyroscope bias of the first " + std::to_string(seconds) + " s: " + error);
-  return estimate->bias_rad_s;
-}
 
 /// The part of a bag whose images are deblurred, [begin_ns, end_ns) of recording time. Everything else is read from
 /// lead_ns earlier, and until the last image is processed, so that slices together give what the whole bag gives.
@@ -286,10 +263,6 @@ void run(const Arguments& arguments) {
   FrameReport report(arguments.common.json);
   Outcome outcome;
   try {
-    if (arguments.bias_seconds) {
-      config.gyro.bias_rad_s =
-          bias_of_first(input.bag(), topics.imu, *arguments.bias_seconds, config.bias_max_stddev_rad_s);
-    }
     OutputBag output(arguments.output);
     outcome = deblur(input, topics, config, arguments, output.bag(), report);
     output.finish();
@@ -325,9 +298,6 @@ int main_of(int argc, char** argv) {
   app.add_option("--output-namespace", arguments.topics.output_namespace,
                  "of the topics written [--camera-ns, or that of the images]");
   app.add_flag("--keep-all-topics", arguments.keep_all_topics, "copy every message of the input as well");
-  app.add_option("--estimate-bias-first", arguments.bias_seconds,
-                 "the sensor is at rest in the first SECONDS: use its mean rate as bias")
-      .positive();
   app.add_option("--start", arguments.start_s, "only images recorded from SECONDS after the bag's first message on [0]")
       .not_negative();
   app.add_option("--end", arguments.end_s, "only images recorded before SECONDS after the bag's first message")

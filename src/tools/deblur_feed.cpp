@@ -99,10 +99,7 @@ Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
 }
 
 void DeblurFeed::take_transforms(const std::string& topic, ros::Time until) {
-  const auto take = [this](const tf2_msgs::TFMessage& message) {
-    add_transforms(message, &tf_buffer_);
-    return true;
-  };
+  const auto take = [this](const tf2_msgs::TFMessage& message) { add_transforms(message, &tf_buffer_); };
   for_each_message<tf2_msgs::TFMessage>(bag_, {topic}, take, ros::TIME_MIN, until);
 }
 

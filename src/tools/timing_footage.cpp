@@ -27,10 +27,8 @@ namespace {
 std::map<TimeNs, Exposure> read_exposures(const rosbag::Bag& bag, const std::string& topic) {
   std::map<TimeNs, Exposure> exposures;
   if (topic.empty()) return exposures;
-  for_each_message<Exposure>(bag, {topic}, [&exposures](const Exposure& message) {
-    exposures[to_time_ns(message.header.stamp)] = message;
-    return true;
-  });
+  for_each_message<Exposure>(
+      bag, {topic}, [&exposures](const Exposure& message) { exposures[to_time_ns(message.header.stamp)] = message; });
   return exposures;
 }
 
@@ -146,7 +144,6 @@ std::optional<Eigen::Matrix3d> extrinsic_of(const rosbag::Bag& bag, const std::s
   tf2::BufferCore tf_buffer;
   for_each_message<tf2_msgs::TFMessage>(bag, {"/tf", "/tf_static"}, [&tf_buffer](const tf2_msgs::TFMessage& message) {
     add_transforms(message, &tf_buffer);
-    return true;
   });
   return lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
 }

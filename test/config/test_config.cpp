@@ -83,7 +83,6 @@ max_gyro_gap: 0.02
 gyro_range: 34.9066
 input_timeout: 0
 frame_queue_size: 3
-bias_max_stddev: 0.1
 rectify_to: stamp
 engine: float
 threads: 2
@@ -116,7 +115,6 @@ keypoint_grid: 6
   EXPECT_DOUBLE_EQ(c.gyro.range_rad_s, 34.9066);
   EXPECT_EQ(c.input_timeout_ns, 0);
   EXPECT_EQ(c.frame_queue_size, 3);
-  EXPECT_EQ(c.bias_max_stddev_rad_s, 0.1);
   EXPECT_EQ(c.pipeline.rectify_to, RectifyTo::STAMP);
   EXPECT_EQ(c.pipeline.engine, "float");
   EXPECT_EQ(c.pipeline.threads, 2);
@@ -193,10 +191,18 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
 
 TEST(ParseConfig, NamesTheValuesOfConstants) {
   const std::vector<std::pair<std::string, std::string>> constants{
-      {"tau", "6 grey levels / px"},    {"tau_contrast", "200 grey levels"}, {"validation_false_accept_rate", "0.1"},
-      {"filter_length_factor", "4"},    {"gyro_buffer_duration", "5 s"},     {"bias_window", "1 s"},
-      {"time_jump_threshold", "0.5 s"}, {"track_border", "32 px"},           {"track_max_round_trip", "1 px"},
-      {"track_max_epipolar", "1 px"},   {"track_window", "21 px"},           {"track_levels", "3"}};
+      {"tau", "6 grey levels / px"},
+      {"tau_contrast", "200 grey levels"},
+      {"validation_false_accept_rate", "0.1"},
+      {"filter_length_factor", "4"},
+      {"gyro_buffer_duration", "5 s"},
+      {"time_jump_threshold", "0.5 s"},
+      {"track_border", "32 px"},
+      {"track_max_round_trip", "1 px"},
+      {"track_max_epipolar", "1 px"},
+      {"track_window", "21 px"},
+      {"track_levels", "3"},
+  };
   for (const auto& [key, value] : constants) {
     std::vector<std::string> unknown;
     EXPECT_EQ(dump(parse(key + ": 7", &unknown)), dump(Config{})) << key << " changed something";
@@ -325,7 +331,6 @@ TEST(ParseConfig, RefusesValuesOutOfRange) {
       {"gyro_range", {"0", "400"}, {"-0.001", "2000"}},
       {"input_timeout", {"0", "10"}, {"-0.001", "10.001"}},
       {"frame_queue_size", {"1", "1000"}, {"0", "1001"}},
-      {"bias_max_stddev", {"1e-9", "1"}, {"0", "-1", "1.001"}},
       {"threads", {"0", "256"}, {"-1", "257"}},
       {"keypoint_grid", {"1", "64"}, {"0", "65"}},
       {"gyro_bias", {"[1, -1, 0]"}, {"[1.001, 0, 0]", "[0, 0, -1.001]"}},

@@ -71,9 +71,8 @@ TEST(Options, TrackerLimits) {
   expect_limits(&O::levels, "track_levels", {0, 6}, {-1, 7});
 }
 
-TEST(Options, LimitsOfConstantsOfAConfiguration) {
+TEST(Options, TimeJumpLimits) {
   const TimeNs ms = 1'000'000, s = 1000 * ms;
-  expect_limits(&Config::bias_window_ns, "bias_window", {100 * ms, 10 * s}, {100 * ms - 1, 10 * s + 1, TimeNs{0}});
   expect_limits(&Config::time_jump_ns, "time_jump_threshold", {10 * ms, 10 * s}, {10 * ms - 1, 10 * s + 1});
 }
 

@@ -200,8 +200,6 @@ ReplayResult replay_on_threads(const Recording& recording, const std::vector<Del
         // Some are meant to be refused.
       }
       processor.statistics();
-      std::string text;
-      processor.estimate_bias(&text);
       if (i % 50 == 49) processor.reset();
       std::this_thread::yield();
     }

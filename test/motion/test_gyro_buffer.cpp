@@ -1,8 +1,8 @@
 #include "gyro_deblur/gyro_buffer.hpp"
 
 #include <limits>
-#include <random>
 #include <stdexcept>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -83,41 +83,6 @@ TEST(GyroBuffer, WindowNeverInventsWhatIsMissing) {
 TEST(GyroBuffer, NeedsACapacity) {
   EXPECT_THROW(GyroBuffer(0), std::invalid_argument);
   EXPECT_THROW(GyroBuffer(-1), std::invalid_argument);
-}
-
-TEST(StationaryBias, IsTheMean) {
-  std::mt19937 rng(1);
-  std::normal_distribution<double> noise(0, 0.01);
-  const Eigen::Vector3d bias(-0.002, 0.021, 0.078);
-  std::vector<GyroSample> samples;
-  for (int i = 0; i < 4000; ++i) samples.push_back({i, bias + Eigen::Vector3d(noise(rng), noise(rng), noise(rng))});
-  std::string error;
-  const auto estimate = estimate_stationary_bias(samples, 0.05, 100, &error);
-  ASSERT_TRUE(estimate) << error;
-  EXPECT_EQ(estimate->samples, samples.size());
-  // Four standard deviations of the mean.
-  EXPECT_LT((estimate->bias_rad_s - bias).cwiseAbs().maxCoeff(), 4 * 0.01 / std::sqrt(4000.0));
-  for (int axis = 0; axis < 3; ++axis) EXPECT_NEAR(estimate->stddev_rad_s[axis], 0.01, 0.001);
-}
-
-TEST(StationaryBias, RefusesMotionAndNamesItsAxis) {
-  std::vector<GyroSample> samples;
-  for (int i = 0; i < 200; ++i) samples.push_back({i, Eigen::Vector3d(0, i % 2 == 0 ? 0.2 : -0.2, 0)});
-  std::string error;
-  EXPECT_FALSE(estimate_stationary_bias(samples, 0.05, 100, &error));
-  EXPECT_NE(error.find("axis y"), std::string::npos) << error;
-  EXPECT_NE(error.find("0.05"), std::string::npos) << error;
-  EXPECT_TRUE(estimate_stationary_bias(samples, 0.25, 100, &error));
-}
-
-TEST(StationaryBias, RefusesTooFewOrBrokenSamples) {
-  std::string error;
-  EXPECT_FALSE(estimate_stationary_bias({at(0), at(1)}, 0.05, 3, &error));
-  EXPECT_NE(error.find("2 samples"), std::string::npos) << error;
-  EXPECT_NE(error.find("3"), std::string::npos) << error;
-  EXPECT_FALSE(estimate_stationary_bias({at(0)}, 0.05, 1, &error));
-  EXPECT_FALSE(
-      estimate_stationary_bias({at(0), at(1), at(2, std::numeric_limits<double>::quiet_NaN())}, 0.05, 2, &error));
 }
 
 }  // namespace

@@ -264,7 +264,8 @@ TEST_F(DiagnosticReportTest, AnErrorOfTheGyroscopeWarnsWithTheRemedy) {
   statistics_.gyro_error->vector = {0.05, 0, -0.05};
   statistics_.gyro_error->seconds = 9.9;
   summary_has("the images rotate by [-0.050000, -0.000000, 0.050000] rad/s relative to the gyroscope for 10 s: a bias");
-  summary_has("call estimate_gyro_bias at rest, or set gyro_bias to [0.060000, 0.000000, -0.050000]");
+  summary_has(
+      "leave gyro_bias empty and let the camera rest for a while, or set gyro_bias to [0.060000, 0.000000, -0.050000]");
   statistics_.gyro_error->kind = GyroError::Kind::EXTRINSIC;
   summary_has("R_cam_imu is off by about 4.1 deg");
   statistics_.gyro_error->kind = GyroError::Kind::TIME_OFFSET;

@@ -328,8 +328,6 @@ TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
     for (int i = 0; i < 20; ++i) {
       configure();
       processor_.statistics();
-      std::string text;
-      processor_.estimate_bias(&text);
     }
   });
   while (outputs_.size() < kFrames && processor_.statistics().time_jumps == 0) advance();
@@ -341,47 +339,25 @@ TEST_F(ProcessorTest, ThreadsMayFeedItAtOnce) {
   }
 }
 
-TEST_F(ProcessorTest, BiasAtRestIsAveragedAndUsed) {
-  add_imu(kStart - 1200 * kMs, kStart + 100 * kMs, 0.4);
-  std::string text;
-  ASSERT_TRUE(processor_.estimate_bias(&text)) << text;
-  EXPECT_NEAR(processor_.statistics().bias_rad_s.y(), 0.4, 1e-12);
-  EXPECT_NE(text.find("0.400000"), std::string::npos);
-  add_frame(kStart);
-  advance();
-  ASSERT_EQ(outputs_.size(), 1u);
-  EXPECT_EQ(outputs_[0].image, outputs_[0].input) << "without its bias the camera stands still";
+TEST_F(ProcessorTest, BiasAtRestIsLearnedAndUsed) {
+  constexpr double kBiasRadS = 0.25;
+  constexpr TimeNs kPeriod = 100 * kMs;
+  config_.given.gyro_bias = false;
   configure();
-  EXPECT_NEAR(processor_.statistics().bias_rad_s.y(), 0.4, 1e-12) << "other parameters leave it";
-  processor_.reset();
-  EXPECT_EQ(processor_.statistics().bias_rad_s.y(), 0);
-}
-
-TEST_F(ProcessorTest, BiasOfAMovingSensorIsRefused) {
-  for (TimeNs t_ns = 0; t_ns <= 1100 * kMs; t_ns += kImuPeriod) {
-    processor_.add_imu(imu_message(kStart + t_ns, std::sin(to_seconds(t_ns) * 10)));
+  for (int i = 0; i < 35; ++i) {
+    const TimeNs stamp_ns = kStart + i * kPeriod;
+    add_imu(stamp_ns, stamp_ns + kPeriod - kImuPeriod, kBiasRadS);
+    add_frame(stamp_ns);
+    advance();
   }
-  std::string text;
-  EXPECT_FALSE(processor_.estimate_bias(&text));
-  EXPECT_FALSE(text.empty());
-  EXPECT_EQ(processor_.statistics().bias_rad_s.y(), 0);
-}
-
-TEST_F(ProcessorTest, ConstantRotationIsNoBias) {
-  add_imu(kStart - 1200 * kMs, kStart, 1.5);
-  std::string text;
-  EXPECT_FALSE(processor_.estimate_bias(&text));
-  EXPECT_NE(text.find("gyro_bias = 1.5"), std::string::npos) << text;
-  EXPECT_EQ(processor_.statistics().bias_rad_s.y(), 0);
-}
-
-TEST_F(ProcessorTest, BiasOfTooFewSamplesIsRefused) {
-  std::string text;
-  EXPECT_FALSE(processor_.estimate_bias(&text));
-  EXPECT_NE(text.find("0.8"), std::string::npos) << text;
-  add_imu(kStart, kStart + 500 * kMs, 0.1);
-  EXPECT_FALSE(processor_.estimate_bias(&text));
-  EXPECT_NE(text.find("0.5"), std::string::npos) << text;
+  ASSERT_EQ(outputs_.size(), 35u);
+  const auto extent_px = [](const FrameOutput& output) {
+    return output.field->blocks[static_cast<std::size_t>(output.field->grid.size() / 2)].extent_px;
+  };
+  EXPECT_NEAR(extent_px(outputs_[1]), kFocalPx * kBiasRadS * to_seconds(kExposure), 0.1);
+  EXPECT_NEAR(extent_px(outputs_.back()), 0, 0.1) << "without its bias the camera stands still";
+  EXPECT_LT((processor_.statistics().bias_rad_s - Eigen::Vector3d(0, kBiasRadS, 0)).norm(), 0.005);
+  EXPECT_EQ(logged("gyro_bias is estimated from the images and used"), 1u);
 }
 
 TEST_F(ProcessorTest, ResetLetsWaitingFramesOutAndForgets) {

@@ -690,9 +690,10 @@ TEST_F(DeblurBagTest, WritesGlobalShutterImagesWithTheirOwnStamps) {
   EXPECT_TRUE(read<sensor_msgs::Image>("out.bag", "/cam/global_shutter/image_raw").empty());
 }
 
-TEST_F(DeblurBagTest, BiasAtRestMakesFramesBitIdentical) {
+TEST_F(DeblurBagTest, FramesWhoseRateIsAllBiasAreBitIdentical) {
   write_bag(0.9);
-  const ProgramResult result = run({"--estimate-bias-first", "1.5"});
+  write_config("gyro_bias: [0, 0.9, 0]\n");
+  const ProgramResult result = run();
   ASSERT_EQ(result.exit_code, 0) << result.output;
   EXPECT_NEAR(report()["gyro_bias_rad_s"][1].get<double>(), 0.9, 1e-9);
   const nlohmann::json frames = report()["frames"];  // not a part of a temporary
@@ -778,7 +779,6 @@ TEST_F(DeblurBagTest, MessagesOfAnotherVersionAreRefused) {
 TEST_F(DeblurBagTest, DamagedMessageIsNamed) {
   struct Damage {
     const char *topic, *type;
-    std::vector<std::string> arguments;
     std::function<void()> add;
   };
   const TimeNs at_ns = kStart + 50 * kMs;
@@ -791,25 +791,20 @@ TEST_F(DeblurBagTest, DamagedMessageIsNamed) {
   transforms.transforms.resize(1);
   const Spoil cut = [](std::vector<std::uint8_t>* bytes) { bytes->resize(bytes->size() / 2); };
   const Damage damages[] = {
-      {"/cam/camera_info",
-       "sensor_msgs/CameraInfo",
-       {},
+      {"/cam/camera_info", "sensor_msgs/CameraInfo",
        [&] { add("/cam/camera_info", *camera_info(at_ns), announce<double>(5, 1u << 30)); }},
-      {"/cam/image_raw",
-       "sensor_msgs/Image",
-       {},
+      {"/cam/image_raw", "sensor_msgs/Image",
        [&] { add("/cam/image_raw", *image_message(at_ns), announce<std::uint8_t>(kWidth * kHeight, 0xffffffff)); }},
-      {"/imu", "sensor_msgs/Imu", {}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
-      {"/imu", "sensor_msgs/Imu", {"--estimate-bias-first", "5"}, [&] { add("/imu", imu_message(at_ns, 1), cut); }},
-      {"/cam/exposure", "gyro_deblur/Exposure", {}, [&] { add("/cam/exposure", exposure, cut); }},
-      {"/tf_static", "tf2_msgs/TFMessage", {}, [&] { add("/tf_static", transforms, cut); }},
-      {"/tf", "tf2_msgs/TFMessage", {}, [&] { add("/tf", transforms, announce<char>(1, 1u << 31)); }},
+      {"/imu", "sensor_msgs/Imu", [&] { add("/imu", imu_message(at_ns, 1), cut); }},
+      {"/cam/exposure", "gyro_deblur/Exposure", [&] { add("/cam/exposure", exposure, cut); }},
+      {"/tf_static", "tf2_msgs/TFMessage", [&] { add("/tf_static", transforms, cut); }},
+      {"/tf", "tf2_msgs/TFMessage", [&] { add("/tf", transforms, announce<char>(1, 1u << 31)); }},
   };
   for (const Damage& damage : damages) {
     write_bag(kFastRadS);
     damage.add();
-    expect_error(run(damage.arguments), {"deblur_bag: " + path("in.bag") + ": topic " + damage.topic + ", " +
-                                         damage.type + " recorded at 100.050000000 s: cannot be read: "});
+    expect_error(run(), {"deblur_bag: " + path("in.bag") + ": topic " + damage.topic + ", " + damage.type +
+                         " recorded at 100.050000000 s: cannot be read: "});
   }
 }
 
