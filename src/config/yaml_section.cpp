@@ -21,7 +21,10 @@ Section::Section(std::string path, std::string prefix, YAML::Node node, std::sha
   log_->maps.emplace_back(prefix_, node_);
 }
 
-Section Section::load(const std::string& path) { return {path, "", load_yaml_file(path), std::make_shared<KeyLog>()}; }
+Section::Section(std::string path, YAML::Node node)
+    : Section(std::move(path), "", std::move(node), std::make_shared<KeyLog>()) {}
+
+Section Section::load(const std::string& path) { return {path, load_yaml_file(path)}; }
 
 bool Section::has(const std::string& key) const {
   ignore(key);

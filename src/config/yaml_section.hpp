@@ -1,5 +1,5 @@
-// Reading the maps of a calibration file or of a recording's description, with errors that name file and key, and the
-// keys that nobody asked for.
+// Reading the maps of a calibration file, of a recording's description or of a scene, with errors that name file and
+// key, and the keys that nobody asked for.
 #pragma once
 
 #include <initializer_list>
@@ -19,6 +19,9 @@ namespace gyro_deblur {
 /// the key is missing or has the wrong form.
 class Section {
  public:
+  /// The whole file, of which `node` is the outermost map.
+  /// @param path  for messages
+  Section(std::string path, YAML::Node node);
   /// The whole file. Throws OptionError with the path when it cannot be read.
   static Section load(const std::string& path);
 

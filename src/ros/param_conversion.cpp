@@ -6,6 +6,8 @@
 #include <locale>
 #include <sstream>
 
+#include <nlohmann/json.hpp>
+
 namespace gyro_deblur {
 namespace {
 
@@ -21,20 +23,9 @@ std::string number(double value) {
   return text.str();
 }
 
-/// With YAML's double quotes, which make it a string whatever it says.
+/// JSON's strings are YAML's, too, and are strings whatever they say.
 std::string quoted(const std::string& value) {
-  static const char kHexDigits[] = "0123456789ABCDEF";
-  std::string text = "\"";
-  for (const char c : value) {
-    const auto byte = static_cast<unsigned char>(c);
-    if (byte < 0x20 || byte == 0x7F) {
-      text += {'\\', 'x', kHexDigits[byte / 16], kHexDigits[byte % 16]};
-    } else {
-      if (c == '"' || c == '\\') text += '\\';
-      text += c;
-    }
-  }
-  return text + '"';
+  return nlohmann::json(value).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 }  // namespace

@@ -76,7 +76,7 @@ struct Scene {
 /// Reads a scene; config/scenes/handheld.yaml documents every key.
 /// @param directory  file names in the scene are relative to it
 /// @param name       of the source, for messages
-/// Throws OptionError "NAME:LINE: KEY = VALUE is outside ..." for bad, missing and unknown keys.
+/// Throws OptionError "NAME: KEY = VALUE is outside ..." for bad, missing and unknown keys.
 Scene parse_scene(const YAML::Node& node, const std::string& directory, const std::string& name);
 
 /// As parse_scene. Throws OptionError with the path when the file cannot be read or is not YAML.

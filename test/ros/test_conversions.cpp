@@ -6,6 +6,7 @@
 #include <regex>
 
 #include <gtest/gtest.h>
+#include <yaml-cpp/yaml.h>
 
 #include "gyro_deblur/blur_field.hpp"
 #include "gyro_deblur/overlay.hpp"
@@ -460,6 +461,23 @@ TEST(Parameters, BecomeYamlThatReadsTheSame) {
   XmlRpc::XmlRpcValue nothing, infinite(-std::numeric_limits<double>::infinity());
   EXPECT_EQ(to_yaml(nothing), "~");
   EXPECT_EQ(to_yaml(infinite), "-.inf");
+}
+
+TEST(Parameters, StringsStayStringsInYaml) {
+  std::string control;
+  for (char c = 1; c < 0x20; ++c) control += c;
+  control += '\x7F';
+  for (const std::string& text :
+       {control, std::string("\"a\" 'b' \\n \\"), std::string("é €  \u0085\u2028😀"), std::string(), std::string("7"),
+        std::string("true"), std::string("~"), std::string(" # {[&*!|>%@` "), std::string("\0a", 2)}) {
+    XmlRpc::XmlRpcValue value(text);
+    const YAML::Node node = YAML::Load(to_yaml(value));
+    ASSERT_TRUE(node.IsScalar()) << to_yaml(value);
+    EXPECT_EQ(node.Tag(), "!") << to_yaml(value) << " is not quoted";
+    EXPECT_EQ(node.Scalar(), text) << to_yaml(value);
+  }
+  XmlRpc::XmlRpcValue invalid(std::string("a\xFF\xC3(b"));
+  EXPECT_EQ(YAML::Load(to_yaml(invalid)).Scalar(), "a\uFFFD\uFFFD(b");
 }
 
 // Field by field what VINS-Mono's estimator reads: points (x, y, 1), then by position id, u, v and the velocities. It

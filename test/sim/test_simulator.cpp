@@ -580,25 +580,30 @@ TEST(Files, RecordedGyroscopesAreRead) {
 TEST(SceneFile, ErrorsNameKeyValueAndRange) {
   const TemporaryFolder folder;
   const auto error = [](const std::string& yaml) { return error_of([&] { scene_of(yaml); }); };
-  expect_contains(error(small_scene(kStill, "exposure_time: 2")), {"test.yaml:3: camera.exposure_time = 2", "1] s"});
+  expect_contains(error(small_scene(kStill, "exposure_time: 2")), {"test.yaml: camera.exposure_time = 2", "1] s"});
   expect_contains(error(small_scene(kStill, "exposure_time: 0.02, fps2: 3")),
-                  {"camera.fps2 is not a known key", "fps,"});
+                  {"test.yaml: unknown keys: camera.fps2;"});
   expect_contains(error(small_scene(kStill, "exposure_time: 0.02, encoding: yuv422")),
-                  {"'yuv422'", "mono8", "bayer_rggb8"});
+                  {"camera.encoding = yuv422", "mono8", "bayer_rggb8"});
   expect_contains(error(small_scene(kStill, "exposure_time: 0.02, noise: -1")),
                   {"camera.noise = -1", "[0, 64] grey levels"});
   expect_contains(error(small_scene(kStill, "readout_time: 0.02")), {"camera.exposure_time is missing"});
   expect_contains(error(small_scene(kStill, "exposure_time: 0.02, stamp_row: second")),
-                  {"'second'", "first, middle, last"});
-  expect_contains(error(small_scene(kStill, "exposure_time: soon")), {"camera.exposure_time = 'soon' is not a number"});
+                  {"camera.stamp_row = second", "first, middle, last"});
+  expect_contains(error(small_scene(kStill, "exposure_time: soon")),
+                  {"camera.exposure_time = soon is not a finite number"});
   expect_contains(error(small_scene(kStill, "exposure_time: 0.02, distortion_model: fisheye")),
-                  {"'fisheye'", "equidistant"});
-  expect_contains(error(small_scene("{type: wobble}")), {"motion.type = 'wobble'", "orbit"});
+                  {"camera.distortion_model = fisheye", "equidistant"});
+  expect_contains(error(small_scene("{type: wobble}")), {"motion.type = wobble", "orbit"});
   expect_contains(error(small_scene("{type: constant_rate, rate: [1, 2]}")),
-                  {"motion.rate is not a list of 3 numbers"});
-  expect_contains(error(small_scene("{type: constant_rate, rate: [1, .nan, 0]}")), {"motion.rate[1] = nan"});
+                  {"motion.rate = [1, 2] is not a list of 3 numbers"});
+  expect_contains(error(small_scene("{type: constant_rate, rate: [1, .nan, 0]}")), {"motion.rate = .nan"});
   expect_contains(error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: -2}]}}")),
                   {"motion.rotation.sines[0].frequency = -2", "[0, 1000] Hz"});
+  expect_contains(
+      error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: 2, fase: 1}]}}", "",
+                        "colour: 1")),
+      {"unknown keys: colour, motion.rotation.sines[0].fase;"});
   const std::string trace = folder.write("short.txt", "0 0 0 0\n100000000 0 0 0\n");
   expect_contains(error(small_scene("{type: gyro_trace, file: " + trace + "}")),
                   {"motion covers", "scene lasts from 0 to 0.52"});
@@ -610,10 +615,13 @@ TEST(SceneFile, ErrorsNameKeyValueAndRange) {
                   {"planes[0].texture", "absent.png"});
   expect_contains(error(small_scene(kStill, "", "", "{size: [0, 1], position: [0, 0, 1]}")),
                   {"planes[0].size[0] = 0", "m"});
-  expect_contains(error("[1, 2]"), {"scene is not a map"});
+  expect_contains(error("[1, 2]"), {"test.yaml: scene = [1, 2] is not a map"});
+  expect_contains(
+      error("camera: {size: [20, 10], intrinsics: [20, 20, 9, 4], fps: 20, exposure_time: 0.02}\nplanes: 5\n"),
+      {"planes = 5 is not a list"});
   expect_contains(error("frames: 1.5\n"), {"frames", "not an integer"});
   expect_contains(error("camera: {size: [0, 5]}\nmotion: {}"), {"camera.size[0] = 0", "px"});
-  expect_contains(error_of([&] { load_scene(folder.string() + "/none.yaml"); }), {"none.yaml: cannot be read"});
+  expect_contains(error_of([&] { load_scene(folder.string() + "/none.yaml"); }), {"none.yaml: cannot be opened"});
   const std::string broken = folder.write("broken.yaml", "a: [1, 2\nb: }");
   expect_contains(error_of([&] { load_scene(broken); }), {"broken.yaml: "});
 }
