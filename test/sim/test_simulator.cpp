@@ -601,9 +601,9 @@ TEST(SceneFile, ErrorsNameKeyValueAndRange) {
   expect_contains(error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: -2}]}}")),
                   {"motion.rotation.sines[0].frequency = -2", "[0, 1000] Hz"});
   expect_contains(
-      error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: 2, fase: 1}]}}", "",
+      error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: 2, phase_deg: 1}]}}", "",
                         "colour: 1")),
-      {"unknown keys: colour, motion.rotation.sines[0].fase;"});
+      {"unknown keys: colour, motion.rotation.sines[0].phase_deg;"});
   const std::string trace = folder.write("short.txt", "0 0 0 0\n100000000 0 0 0\n");
   expect_contains(error(small_scene("{type: gyro_trace, file: " + trace + "}")),
                   {"motion covers", "scene lasts from 0 to 0.52"});
