@@ -827,12 +827,14 @@ PATH_CALLS = (
     ("ros", "add_image", 4, 1.5, 11.6), ("ros", "mark_ready", 4, 12, 22), ("ros", "push", 5, 6, 11.6),
     ("ros", "decide", 5, 12, 22), ("ros", "work", 1, 37, 141), ("ros", "guarded", 2, 39, 141),
     ("ros", "Processor::advance", 3, 40.5, 141), ("ros", "next_frame", 4, 40.5, 52.5),
-    ("ros", "next", 5, 40.5, 52.5), ("ros", "decide", 6, 40.5, 46.4), ("ros", "collect", 6, 46.8, 52.5),
+    ("ros", "synchronize", 5, 40.5, 52.5), ("ros", "next", 6, 40.5, 52.5), ("ros", "decide", 7, 40.5, 46.4),
+    ("ros", "collect", 7, 46.8, 52.5),
     ("ros", "Processor::process", 4, 52.9, 115), ("ros", "examine", 5, 54, 79.5),
     ("ros", "Processor::deblur", 5, 79.7, 115),
-    ("pipeline", "estimate", 6, 55.5, 65.5), ("pipeline", "validate", 6, 69.1, 76.1),
+    ("ros", "Processor::validate", 6, 55.5, 76.1), ("pipeline", "estimate", 7, 55.5, 65.5),
+    ("pipeline", "validate", 7, 69.1, 76.1),
     ("pipeline", "Pipeline::deblur", 6, 79.9, 102.4), ("ros", "add_result", 6, 102.8, 115),
-    ("ros", "to_image", 7, 104, 115), ("pipeline", "deconvolve", 7, 80, 99),
+    ("ros", "add_messages", 7, 104, 115), ("ros", "to_image", 8, 104, 115), ("pipeline", "deconvolve", 7, 80, 99),
     ("engine", "BlockEngine::filter", 8, 82, 99),
     ("engine", "filter_blocks", 9, 82, 98), ("engine", "run_tiles", 10, 82, 98), ("base", "parallel_for", 11, 82, 98),
     ("base", "parallel_for_ranges", 12, 82, 98), ("base", "Loop::step", 13, 82, 98),
@@ -840,9 +842,9 @@ PATH_CALLS = (
     ("ros", "record", 4, 125.6, 132), ("ros", "sink", 4, 132.4, 141), ("ros", "publish", 5, 132.4, 141),
     ("ros", "Publishers", 6, 132.4, 141), ("ros", "Row", 7, 132.4, 141))
 # Folder, name, top, begin.
-PATH_STAGES = (("pipeline", "optical flow", 6.5, 55.5), ("pipeline", "blur field", 6.5, 58.9),
-               ("pipeline", "exposure", 6.5, 62.3), ("ros", "choose_exposure", 5.5, 65.7),
-               ("pipeline", "validation", 6.5, 69.1), ("pipeline", "noise", 6.5, 72.9), ("ros", "decide", 5.5, 76.5),
+PATH_STAGES = (("pipeline", "optical flow", 7.5, 55.5), ("pipeline", "blur field", 7.5, 58.9),
+               ("pipeline", "exposure", 7.5, 62.3), ("ros", "choose_exposure", 6.5, 65.7),
+               ("pipeline", "validation", 7.5, 69.1), ("pipeline", "noise", 7.5, 72.9), ("ros", "decide", 5.5, 76.5),
                ("pipeline", "keypoints", 6.5, 99.2))
 PATH_LOCKS = (
     ("Processor::mutex_", ((0.8, 22), (37, 37.8), (40.8, 52.5), (66, 68.6), (116, 120), (125.6, 132))),

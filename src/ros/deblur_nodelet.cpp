@@ -289,7 +289,7 @@ void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
 
 bool DeblurNodelet::on_reset(std::string* text) {
   processor_->reset();
-  *text = "gyroscope samples and an estimated bias are forgotten, waiting frames pass through";
+  *text = "gyroscope samples and other stored messages are forgotten, waiting frames pass through";
   return true;
 }
 

@@ -125,6 +125,7 @@ std::optional<SynchronizedFrame> FrameSynchronizer::next(const Followed& followe
 void FrameSynchronizer::put_back(PendingFrame frame) {
   overload_.pause(steady_now());
   frame.awaits = Awaited::STEREO_PARTNER;
+  frame.missing_extrinsic.clear();
   if (!frame.ready_steady_ns) frame.ready_steady_ns = steady_now();
   queue().put_back(std::move(frame));
 }

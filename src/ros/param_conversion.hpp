@@ -8,7 +8,7 @@
 namespace gyro_deblur {
 
 /// The same value in YAML, on one line. Strings stay strings, also where their text is a number; U+FFFD replaces bytes
-/// that are no UTF-8. Doubles keep every bit.
+/// that are not UTF-8. Doubles keep every bit.
 std::string to_yaml(XmlRpc::XmlRpcValue& value);
 
 }  // namespace gyro_deblur

@@ -88,9 +88,9 @@ class Processor {
   /// Frames are passed through with BAD_CONFIGURATION until set_config succeeds.
   explicit Processor(Environment environment);
 
-  /// Throws OptionError and keeps the former configuration when the new one cannot be used. A bias that was estimated
-  /// stays in use. An engine is made only when engine or threads change; what else has to be rebuilt is when the next
-  /// frame is processed, by the thread that does so: many changes in a row cost no more than one.
+  /// Throws OptionError and keeps the former configuration when the new one cannot be used. What was estimated from
+  /// images stays in use. An engine is made only when engine or threads change; what else has to be rebuilt is when the
+  /// next frame is processed, by the thread that does so: many changes in a row cost no more than one.
   void set_config(const Config& config);
   /// From now on frames pass through with BAD_CONFIGURATION and this text.
   void set_config_error(const std::string& text);
@@ -132,7 +132,8 @@ class Processor {
   /// What the foremost of them waits for, as of the last call of advance.
   Awaited awaited() const;
 
-  /// As after the start: waiting frames are passed through as TIME_JUMP, samples are forgotten.
+  /// Frames are passed through as TIME_JUMP, but for one that waits for its stereo partner, and samples are forgotten.
+  /// What was estimated from images stays.
   void reset();
 
   /// Forgets the calibration that was estimated from the images.

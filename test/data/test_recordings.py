@@ -197,7 +197,7 @@ class ShieldBurstByImages(ShieldBurst):
 
 
 class EurocAtRest(Recording):
-    """A standing vehicle: nothing is blurred, although the gyroscope has a bias."""
+    """A standing vehicle, for 1.2 s: a bias of 0.08 rad/s that is not known makes less blur than can be seen."""
 
     FOLDER, FORMAT, CONFIG = "euroc_v1_01", "euroc", "euroc_v1_01.yaml"
 

@@ -1,4 +1,4 @@
-// The OpenCL engine against the float engine, with mapped and with pinned memory. Both run on any device.
+// The OpenCL engine against the float engine, with pinned memory and, where device and host share memory, with mapped.
 #include "engine/opencl/opencl_engine.hpp"
 
 #include <algorithm>

@@ -1350,7 +1350,7 @@ TEST_F(NodeletTest, BadImuSamplesAreDroppedAndCounted) {
   EXPECT_TRUE(diagnostics.wait_for("imu dropped, out of order", "31"));
 }
 
-TEST_F(NodeletTest, Services) {
+TEST_F(NodeletTest, ResetForgetsSamples) {
   start();
   Diagnostics diagnostics(name_, &mailbox_);
   publish_imu(kStart - 1200 * kMs, kStart + 100 * kMs);

@@ -359,6 +359,12 @@ TEST_F(ProcessorTest, BiasAtRestIsLearnedAndUsed) {
   EXPECT_NEAR(extent_px(outputs_.back()), 0, 0.1) << "without its bias the camera stands still";
   EXPECT_LT((processor_.statistics().bias_rad_s - Eigen::Vector3d(0, kBiasRadS, 0)).norm(), 0.005);
   EXPECT_EQ(logged("gyro_bias is estimated from the images and used"), 1u);
+  config_.pipeline.blur_field.min_extent_px = 2;
+  configure();
+  processor_.reset();
+  EXPECT_GT(processor_.statistics().bias_rad_s.norm(), 0.24) << "neither other parameters nor a reset change it";
+  processor_.reset_calibration();
+  EXPECT_EQ(processor_.statistics().bias_rad_s.norm(), 0);
 }
 
 TEST_F(ProcessorTest, ResetLetsWaitingFramesOutAndForgets) {
