@@ -9,6 +9,9 @@ namespace {
 
 double squared(double x) { return x * x; }
 
+/// Proportional to the density of a normal variable.
+double normal(double x, double variance) { return std::exp(-0.5 * squared(x) / variance) / std::sqrt(variance); }
+
 // However many estimates there are, some ten of them make the value: then changes of 1 % are not forgotten.
 constexpr double kLeastStddev = 0.004;
 // Estimates of consecutive images share their velocities, and with them part of their error.
@@ -47,10 +50,13 @@ ExposureFilter::Value ExposureFilter::predicted() const {
   return now;
 }
 
+/// What brightness adds to the variance, if the exposure has changed it.
+double ExposureFilter::brightness_variance() const { return squared(kExposureShare * (brightest_ - darkest_)); }
+
 /// What contradiction and brightness add to the variance.
 double ExposureFilter::extra_variance() const {
   const double contradicted = candidate_ ? 0.5 * (candidate_->log_ns - value_->log_ns) : 0;
-  return squared(contradicted) + squared(kExposureShare * (brightest_ - darkest_));
+  return squared(contradicted) + brightness_variance();
 }
 
 bool ExposureFilter::follows_candidate(const Value& measured) const {
@@ -69,14 +75,24 @@ bool ExposureFilter::follows_candidate(const Value& measured) const {
 void ExposureFilter::update(const Value& measured) {
   constexpr double kSlowPerS = 0.2;  // is not seen above the noise of estimates
   constexpr int kSlowUpdates = 4;
+  constexpr double kByExposure = 0.1;  // changes of brightness that are not the scene's
   Value now = predicted();
-  const double variance = now.variance + extra_variance(), sum = variance + measured.variance;
   const double innovation = measured.log_ns - now.log_ns;
-  now.log_ns += variance / sum * innovation;
-  now.per_s += now.covariance / sum * innovation;
-  now.speed_variance -= squared(now.covariance) / sum;
-  now.covariance *= 1 - variance / sum;
-  now.variance = std::max((1 - variance / sum) * variance, squared(kLeastStddev));
+  // Two hypotheses: the scene has changed the brightness, or the exposure has, as one that moves does. The estimate
+  // tells how likely each is, and the state becomes the mean and the variance of both.
+  const double variance = now.variance, sum = variance + measured.variance;
+  const double wide_variance = variance + brightness_variance(), wide_sum = wide_variance + measured.variance;
+  const double gain = variance / sum, wide_gain = wide_variance / wide_sum;
+  const double scene = (1 - kByExposure) * normal(innovation, sum);
+  const double wide_share = now.moves ? 1 : 1 / (1 + scene / (kByExposure * normal(innovation, wide_sum)));
+  const double mean_gain = gain + wide_share * (wide_gain - gain);
+  now.log_ns += mean_gain * innovation;
+  now.per_s += now.covariance / wide_sum * innovation;
+  now.speed_variance -= squared(now.covariance) / wide_sum;
+  now.covariance *= 1 - wide_gain;
+  now.variance = (1 - wide_share) * (1 - gain) * variance + wide_share * (1 - wide_gain) * wide_variance +
+                 wide_share * (1 - wide_share) * squared((wide_gain - gain) * innovation);
+  now.variance = std::max(now.variance, squared(kLeastStddev));
   now.slow_updates = std::abs(now.per_s) < kSlowPerS ? now.slow_updates + 1 : 0;
   if (now.moves && now.slow_updates >= kSlowUpdates) {
     now.moves = false;
