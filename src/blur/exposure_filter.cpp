@@ -10,7 +10,7 @@ namespace {
 double squared(double x) { return x * x; }
 
 /// Proportional to the density of a normal variable.
-double normal(double x, double variance) { return std::exp(-0.5 * squared(x) / variance) / std::sqrt(variance); }
+double gauss(double x, double variance) { return std::exp(-0.5 * squared(x) / variance) / std::sqrt(variance); }
 
 // However many estimates there are, some ten of them make the value: then changes of 1 % are not forgotten.
 constexpr double kLeastStddev = 0.004;
@@ -50,13 +50,10 @@ ExposureFilter::Value ExposureFilter::predicted() const {
   return now;
 }
 
-/// What brightness adds to the variance, if the exposure has changed it.
-double ExposureFilter::brightness_variance() const { return squared(kExposureShare * (brightest_ - darkest_)); }
-
 /// What contradiction and brightness add to the variance.
 double ExposureFilter::extra_variance() const {
   const double contradicted = candidate_ ? 0.5 * (candidate_->log_ns - value_->log_ns) : 0;
-  return squared(contradicted) + brightness_variance();
+  return squared(contradicted) + squared(kExposureShare * (brightest_ - darkest_));
 }
 
 bool ExposureFilter::follows_candidate(const Value& measured) const {
@@ -81,10 +78,10 @@ void ExposureFilter::update(const Value& measured) {
   // Two hypotheses: the scene has changed the brightness, or the exposure has, as one that moves does. The estimate
   // tells how likely each is, and the state becomes the mean and the variance of both.
   const double variance = now.variance, sum = variance + measured.variance;
-  const double wide_variance = variance + brightness_variance(), wide_sum = wide_variance + measured.variance;
+  const double wide_variance = variance + extra_variance(), wide_sum = wide_variance + measured.variance;
   const double gain = variance / sum, wide_gain = wide_variance / wide_sum;
-  const double scene = (1 - kByExposure) * normal(innovation, sum);
-  const double wide_share = now.moves ? 1 : 1 / (1 + scene / (kByExposure * normal(innovation, wide_sum)));
+  const double scene = (1 - kByExposure) * gauss(innovation, sum);
+  const double wide_share = now.moves ? 1 : 1 / (1 + scene / (kByExposure * gauss(innovation, wide_sum)));
   const double mean_gain = gain + wide_share * (wide_gain - gain);
   now.log_ns += mean_gain * innovation;
   now.per_s += now.covariance / wide_sum * innovation;

@@ -46,7 +46,6 @@ class ExposureFilter {
     int slow_updates = 0;  ///< in a row, of one that moves
   };
   Value predicted() const;
-  double brightness_variance() const;
   double extra_variance() const;
   bool follows_candidate(const Value& measured) const;
   void update(const Value& measured);

@@ -46,8 +46,7 @@ class FrameSynchronizer : public InputBuffers {
   using Followed = std::array<std::optional<TimeRange>, 2>;
 
   /// @param extrinsic  may be absent
-  /// @param calibration, exposures  what holds for frames apart from messages; these and problems have to outlive
-  /// this
+  /// @param calibration, exposures  what holds for frames apart from messages; with problems they outlive this
   FrameSynchronizer(InputBuffers inputs, Extrinsic extrinsic, const CalibrationInUse* calibration,
                     const ExposureChoice* exposures, InputProblems* problems);
 
@@ -58,8 +57,7 @@ class FrameSynchronizer : public InputBuffers {
   /// @param finishing  nothing is waited for any longer
   std::optional<SynchronizedFrame> next(const Followed& followed_cam, bool finishing);
 
-  /// The frame that next() gave last has to wait for its stereo partners: it is the foremost one again.
-  /// @param frame  with what has been done of it
+  /// The frame that next() gave last has to wait for its stereo partners: it is the first again, with its in_work.
   void put_back(PendingFrame frame);
   /// Takes the foremost frame out again, if it was put back; else null.
   std::shared_ptr<FrameInWork> resume();
@@ -91,13 +89,11 @@ class FrameSynchronizer : public InputBuffers {
   Readiness find_timing(PendingFrame* frame, ShutterTiming* timing, ExposureOrigin* origin) const;
   /// The exposure time assumed until the blur has been examined.
   /// @param given  the exposure time of a message, a setting or the parameter; 0: not known
-  /// @param origin  of find_timing()
   Readiness plan_exposure(TimeNs given_ns, ExposureOrigin origin, PendingFrame* frame, ExposurePlan* plan) const;
   /// Whether samples have come up to the frame's end, or will not. Precondition: the exposure is known.
   Readiness find_samples(PendingFrame* frame, PictureMotion* motion) const;
   /// The rotation from the parameters, the calibration file, tf or the images.
   Readiness find_extrinsic(PendingFrame* frame, PictureMotion* motion) const;
-  /// The samples of a frame that is ready.
   void collect(const Followed& followed_cam, PictureMotion* motion) const;
   /// Counts an image that is taken out of the queue before samples of its exposure have come.
   void record_lacking_samples(const PendingFrame& frame, const PictureMotion& motion);

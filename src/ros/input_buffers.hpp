@@ -41,8 +41,7 @@ struct SameExposure {
   bool operator()(const Exposure& a, const Exposure& b) const;
 };
 
-/// Stores messages by their stamps until a frame has what belongs to it. Its
-/// owner serialises access.
+/// Stores messages by their stamps until a frame has what belongs to it. Its owner serialises access.
 class InputBuffers {
  public:
   struct Clocks {

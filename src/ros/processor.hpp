@@ -136,7 +136,6 @@ class Processor {
   /// What was estimated from images stays.
   void reset();
 
-  /// Forgets the calibration that was estimated from the images.
   void reset_calibration();
 
   /// The calibration estimated from the images and in use, for images of this size.
@@ -170,19 +169,15 @@ class Processor {
   bool process(FrameInWork* work);
   /// What is done with a frame that is ready, by its validated blur; nothing while it waits for its stereo partners.
   std::optional<FrameAction> examine(FrameInWork* work);
-  /// Sets what processing goes by.
   void begin(FrameInWork* work);
   /// Estimates the frame's blur, and validates it by the exposure that is chosen then.
   void validate(FrameInWork* work);
-  /// Deblurs the frame if that is decided.
   void deblur(const FrameAction& action, FrameInWork* work);
-  /// Gives the pipeline the frame's options and mask.
   void set_up_pipeline(const SynchronizedFrame& synchronized);
   /// What the frame is deblurred by; its picture goes by that from now on. Takes mutex_.
   ChosenExposure choose_exposure(const SynchronizedFrame& synchronized, const PipelineResult& estimated);
   /// What is done with a frame that has this validated field; nothing while it waits for its stereo partners.
   std::optional<FrameAction> decide(const SynchronizedFrame& synchronized, const FrameBlur& field) const;
-  /// What of the output the pipeline's result gives.
   void add_result(const FrameAction& action, PipelineResult result, FrameInWork* work);
   /// Corners followed from the image before, as they are in the image and at the reference time.
   void add_tracks(const RowExposure& exposure, const PipelineResult& result, FrameInWork* work);
@@ -199,9 +194,7 @@ class Processor {
   void record_exposure(const FrameOutput& output);
   /// Stamps of global-shutter images are not those that came in, and grow all the same.
   void keep_global_shutter_in_order(FrameOutput* output);
-  /// Reports what does not move with the camera.
   void record_static_content(const FrameOutput& output);
-  /// Counts a published frame, and reports what is wrong with it.
   void record(const FrameOutput& output);
   /// Reports when images do not rotate as the gyroscope says. Needs mutex_.
   void check_gyro_unit(const FrameOutput& output);
