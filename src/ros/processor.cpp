@@ -239,7 +239,7 @@ void Processor::advance(const Sink& sink, bool finishing) {
       if (!process(work.get())) {
         put_back(work);
         if (!finishing) return;
-        // The signal has ended for good when a nodelet finishes.
+        // wait() would return at once: a nodelet calls stop() before finish().
         constexpr std::chrono::milliseconds kPollPeriod{1};
         std::this_thread::sleep_for(kPollPeriod);
         continue;

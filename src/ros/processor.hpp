@@ -132,7 +132,7 @@ class Processor {
   /// What the foremost of them waits for, as of the last call of advance.
   Awaited awaited() const;
 
-  /// Frames are passed through as TIME_JUMP, but for one that waits for its stereo partner, and samples are forgotten.
+  /// Waiting frames pass through as TIME_JUMP, except one that waits for its stereo partner. Samples are forgotten.
   /// What was estimated from images stays.
   void reset();
 
