@@ -63,7 +63,7 @@ Simulator shaken_camera(double amplitude, int frames, double noise, const std::s
        << "planes: [{texture: procedural, texture_seed: " << 11 + scene
        << ", texture_size: [3600, 2800], size: [10.8, 8.4], "
        << "position: [0, 0, 2]}]\n"
-       << "motion:\n  type: spline\n  rotation:\n    sines:\n"
+       << "motion:\n  type: curve\n  rotation:\n    sines:\n"
        << "      - {amplitude: [" << 6 * amplitude << ", " << 14 * amplitude << ", " << 2 * amplitude
        << "], frequency: 2.1, phase: " << 20 + 70 * scene << window << "}\n"
        << "      - {amplitude: [" << 7 * amplitude << ", " << -3 * amplitude << ", " << 3 * amplitude

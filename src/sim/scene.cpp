@@ -194,10 +194,10 @@ VectorCurve parse_curve(const Section& parent, const std::string& key, double li
 }
 
 std::unique_ptr<Motion> parse_motion(const Section& s, const std::string& directory, const Eigen::Matrix3d& R_cam_imu) {
-  const std::string type = choice(s, "type", {"spline", "constant_rate", "gyro_trace", "trajectory", "orbit"}, nullptr);
+  const std::string type = choice(s, "type", {"curve", "constant_rate", "gyro_trace", "trajectory", "orbit"}, nullptr);
   const auto position = [&s] { return parse_curve(s, "position", kMaxLengthM, 1, "m"); };
   std::unique_ptr<Motion> motion;
-  if (type == "spline") {
+  if (type == "curve") {
     motion = make_curve_motion(parse_curve(s, "rotation", kMaxAngleDeg, kRadPerDeg, "deg"), position());
   } else if (type == "constant_rate") {
     const Eigen::Vector3d rate = kRadPerDeg * vector(s, "rate", kMaxAngleDeg, "deg/s");

@@ -27,7 +27,7 @@ imu: {rate: 200, gyro_bias: [0.01, -0.02, 0.03], gyro_noise: 0.003, time_offset:
 planes:
   - {texture: procedural, texture_seed: 11, texture_size: [1400, 1000], size: [8.4, 6.0], position: [0, 0, 2]}
 motion:
-  type: spline
+  type: curve
   rotation:
     sines:
       - {amplitude: [4, 7, 2], frequency: 1.1, phase: 12}

@@ -30,7 +30,7 @@ camera: {size: [320, 240], intrinsics: [250, 252, 158, 121], distortion_model: p
   noise: 1}
 imu: {rate: 400}
 planes: [{size: [9, 7], position: [0, 0, 2], texture_size: [1800, 1400], texture_seed: 21}]
-motion: {type: spline, rotation: {sines: [{amplitude: [6, 14, 5], frequency: 2.3, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [6, 14, 5], frequency: 2.3, phase: 20}]},
   position: {sines: [{amplitude: [0.05, 0.03, 0.02], frequency: 1.1}]}}
 )";
 

@@ -315,7 +315,7 @@ TEST(GlobalShutterOfSimulation, ARotatingCameraIsRight) {
 
 TEST(GlobalShutterOfSimulation, ResidualVelocitiesTakeWhatTranslationMoves) {
   Simulator simulator = simulator_of(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
   position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
 )");
   const RotationTrack rotation = rotation_of(simulator);

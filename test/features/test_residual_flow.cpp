@@ -92,7 +92,7 @@ double percentile(std::vector<double> values, double part) {
 
 TEST(ResidualFlow, MeasuresTheTranslationThatTheGyroscopeDoesNot) {
   const Simulator simulator = simulator_of(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
   position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
 )");
   const Errors errors = errors_of(simulator, rotation_of(simulator));
@@ -104,7 +104,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
 TEST(ResidualFlow, IsTheSameOnAnyNumberOfThreads) {
   const EagerHelpers eager_helpers;
   Simulator simulator = simulator_of(R"(
-motion: {type: spline, position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
+motion: {type: curve, position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
 )",
                                      3);
   const RotationTrack rotation = rotation_of(simulator);
@@ -148,7 +148,7 @@ TEST(Downsample2x, IsWhatOneLoopOverTheImageMakes) {
 
 TEST(ResidualFlow, KnowsByTheAccelerometerWhatHappensBetweenTwoImages) {
   const Simulator simulator = simulator_of(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
   position: {sines: [{amplitude: [0.06, 0.04, 0.03], frequency: 3, phase: 70}]}}
 )",
                                            20);
@@ -162,7 +162,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
 
 TEST(ResidualFlow, LeavesARotatingCameraToItsGyroscope) {
   const Simulator simulator = simulator_of(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7, phase: 20}]}}
+motion: {type: curve, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7, phase: 20}]}}
 )");
   // The accelerometer feels gravity alone, from all sides.
   for (const Accelerometer accelerometer : {Accelerometer::NONE, Accelerometer::PRESENT}) {
@@ -174,7 +174,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [9, 12, 6], frequency: 1.7
 
 TEST(ResidualFlow, MendsABiasThatNobodyTold) {
   const Simulator simulator = simulator_of(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}
+motion: {type: curve, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}
 )");
   const Errors errors = errors_of(simulator, rotation_of(simulator, {0.05, -0.05, 0.05}));
   EXPECT_GT(percentile(errors.by_gyroscope_px, 0.5), 0.4);

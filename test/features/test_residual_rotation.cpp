@@ -192,7 +192,7 @@ planes: [{size: [12, 9], position: [0, 0, 2], texture_size: [2400, 1800], textur
 }
 
 constexpr char kRotating[] =
-    "motion: {type: spline, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}";
+    "motion: {type: curve, rotation: {sines: [{amplitude: [6, 8, 4], frequency: 1.3, phase: 20}]}}";
 
 TEST(GyroErrorOfImages, IsABiasThatNobodyTold) {
   const Eigen::Vector3d bias_rad_s(0.05, -0.05, 0.05);
@@ -212,7 +212,7 @@ TEST(GyroErrorOfImages, IsAWrongTimeOffset) {
 TEST(GyroErrorOfImages, IsAWrongExtrinsic) {
   // Rates about one axis do not determine a rotation about it.
   const std::string motion = R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 0.9}]}}
+motion: {type: curve, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 0.9}]}}
 )";
   const Eigen::Vector3d rotation_rad(0.08, -0.1, 0.12);
   const auto found = found_in(motion, Eigen::Vector3d::Zero(), 0, rotation_rad);
@@ -225,7 +225,7 @@ TEST(GyroErrorOfImages, IsNoneOfAGoodGyroscope) { EXPECT_FALSE(found_in(kRotatin
 
 TEST(GyroErrorOfImages, IsNoneOfACameraThatMovesToAndFro) {
   EXPECT_FALSE(found_in(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
   position: {sines: [{amplitude: [0.25, 0.15, 0.2], frequency: 0.8, phase: 70}]}}
 )",
                         Eigen::Vector3d::Zero()));
@@ -233,7 +233,7 @@ motion: {type: spline, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3,
 
 TEST(GyroErrorOfImages, IsNoneOfACameraThatPassesAWall) {
   EXPECT_FALSE(found_in(R"(
-motion: {type: spline, rotation: {sines: [{amplitude: [2, 2, 2], frequency: 0.7, phase: 20}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [2, 2, 2], frequency: 0.7, phase: 20}]},
   position: {offset: [-1.5, 0, 0], rate: [0.45, 0.05, 0]}}
 )",
                         Eigen::Vector3d::Zero()));

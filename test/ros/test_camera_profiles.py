@@ -43,7 +43,7 @@ imu: {{rate: 200, gyro_noise: 0.003}}
 planes:
   - {{texture: procedural, texture_seed: 11, texture_size: [1600, 1200], size: [9.6, 7.2], position: [0, 0, 2]}}
 motion:
-  type: spline
+  type: curve
   rotation:
     sines:
       - {{amplitude: [9, 4, 3], frequency: 1.9, phase: 20}}

@@ -29,7 +29,7 @@ imu: {{rate: 200}}
 planes:
   - {{texture: procedural, texture_seed: 11, texture_size: [1600, 1200], size: [9.6, 7.2], position: [0, 0, 2]}}
 motion:
-  type: spline
+  type: curve
   rotation: {{sines: [{{amplitude: [9, 14, 5], frequency: 1.3, phase: 20}}]}}
 """
 

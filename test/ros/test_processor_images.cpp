@@ -36,7 +36,7 @@ seed: 5
 camera: {size: [320, 240], intrinsics: [200, 200, 159.5, 119.5], fps: 20, exposure_time: 0.03, readout_time: 0.02, noise: 2}
 imu: {rate: 200}
 planes: [{size: [12, 9], position: [0, 0, 2], texture_size: [2400, 1800], texture_seed: 4}]
-motion: {type: spline, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 1.3, phase: 80}]},
+motion: {type: curve, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3}, {amplitude: [0, 8, 3], frequency: 1.3, phase: 80}]},
   position: {sines: [{amplitude: [0.02, 0.02, 0.02], frequency: 0.8, phase: 70}]}}
 )"),
                             "", "processor");

@@ -37,7 +37,7 @@ imu: {{rate: 200, gyro_bias: [0.01, -0.02, 0.03], gyro_noise: 0.003, time_offset
 planes:
   - {{texture: procedural, texture_seed: 11, texture_size: [1600, 1200], size: [12, 9], position: [0, 0, 2]}}
 motion:
-  type: spline
+  type: curve
   rotation:
     sines:
       - {{amplitude: [8, 14, 4], frequency: 1.1, phase: 12}}

@@ -55,10 +55,10 @@ const Lens kLenses[] = {
 
 // Shake about all axes, up to about 2.5 rad/s.
 const char kShake[] =
-    "{type: spline, rotation: {sines: [{amplitude: [3, 7, 2], frequency: 2.6, phase: 10}, "
+    "{type: curve, rotation: {sines: [{amplitude: [3, 7, 2], frequency: 2.6, phase: 10}, "
     "{amplitude: [5, -2, 4], frequency: 3.7, phase: 80}]}}";
 // A swing at about 1.8 rad/s that hardly changes within an exposure.
-const char kSwing[] = "{type: spline, rotation: {sines: [{amplitude: [6, 15, 5], frequency: 1.0, phase: 27}]}}";
+const char kSwing[] = "{type: curve, rotation: {sines: [{amplitude: [6, 15, 5], frequency: 1.0, phase: 27}]}}";
 
 // 640x480, 20 ms of exposure, a gyroscope without errors but with its own clock and axes.
 Simulator moving_camera(const std::string& lens, const std::string& motion, const std::string& readout = "0.024") {

@@ -236,7 +236,7 @@ TEST(Renderer, RenderedImagesAgreeWithTheTruthFunctions) {
       "planes: [{size: [9, 7], position: [0, 0, 2.5], texture_size: [2000, 1600]}, "
       "{size: [0.8, 0.8], position: [0.2, 0.1, 1.5], rotation: [0, 20, 10], texture_size: [512, 512], texture_seed: "
       "9}]\n"
-      "motion: {type: spline, rotation: {sines: [{amplitude: [8, -12, 10], frequency: 4, phase: 30}]}, "
+      "motion: {type: curve, rotation: {sines: [{amplitude: [8, -12, 10], frequency: 4, phase: 30}]}, "
       "position: {rate: [0.8, -0.5, 0.6]}}";
   Simulator sim(scene_of(yaml));
   const TimeNs reference = sim.reference_time(0);
@@ -406,7 +406,7 @@ TEST(Imu, MeasuresRateAndSpecificForceInItsOwnAxes) {
 
 TEST(Imu, AccelerationOfTheMotionIsMeasured) {
   const Simulator sim(
-      scene_of(small_scene("{type: spline, position: {sines: [{amplitude: [0.1, 0, 0], frequency: 2, phase: 90}]}}", "",
+      scene_of(small_scene("{type: curve, position: {sines: [{amplitude: [0.1, 0, 0], frequency: 2, phase: 90}]}}", "",
                            "gravity: [0, 0, 0]")));
   const double w = 2 * M_PI * 2;
   EXPECT_NEAR(sim.imu().front().specific_force_m_s2.x(), -0.1 * w * w, 1e-9);
@@ -488,7 +488,7 @@ TEST_P(MotionDerivatives, AgreeWithThePoses) {
 INSTANTIATE_TEST_SUITE_P(
     Types, MotionDerivatives,
     ::testing::Values(
-        "{type: spline, rotation: {offset: [10, -20, 5], rate: [20, 10, -30], sines: [{amplitude: [10, 3, -5], "
+        "{type: curve, rotation: {offset: [10, -20, 5], rate: [20, 10, -30], sines: [{amplitude: [10, 3, -5], "
         "frequency: 3, phase: 40}, {amplitude: [0, 20, 5], frequency: 2, window: [0.1, 0.4]}]}, position: {sines: "
         "[{amplitude: [0.1, 0.2, 0.3], frequency: 1.5}, {amplitude: [0.2, 0, 0], frequency: 3, window: [0.05, 0.4]}]}}",
         "{type: constant_rate, rate: [50, -80, 20], orientation: [10, 20, 30], position: {rate: [1, 2, 3]}}",
@@ -598,10 +598,10 @@ TEST(SceneFile, ErrorsNameKeyValueAndRange) {
   expect_contains(error(small_scene("{type: constant_rate, rate: [1, 2]}")),
                   {"motion.rate = [1, 2] is not a list of 3 numbers"});
   expect_contains(error(small_scene("{type: constant_rate, rate: [1, .nan, 0]}")), {"motion.rate = .nan"});
-  expect_contains(error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: -2}]}}")),
+  expect_contains(error(small_scene("{type: curve, rotation: {sines: [{amplitude: [1, 2, 3], frequency: -2}]}}")),
                   {"motion.rotation.sines[0].frequency = -2", "[0, 1000] Hz"});
   expect_contains(
-      error(small_scene("{type: spline, rotation: {sines: [{amplitude: [1, 2, 3], frequency: 2, phase_deg: 1}]}}", "",
+      error(small_scene("{type: curve, rotation: {sines: [{amplitude: [1, 2, 3], frequency: 2, phase_deg: 1}]}}", "",
                         "colour: 1")),
       {"unknown keys: colour, motion.rotation.sines[0].phase_deg;"});
   const std::string trace = folder.write("short.txt", "0 0 0 0\n100000000 0 0 0\n");

@@ -36,7 +36,7 @@ camera: {size: [376, 240], intrinsics: [235, 235, 187.5, 119.5], fps: 20, exposu
   noise: 1.5}
 imu: {rate: 200}
 planes: [{size: [9, 7], position: [0, 0, 2], texture_size: [1600, 1244], texture_seed: 4}]
-motion: {type: spline, rotation: {sines: [{amplitude: [6, 9, 5], frequency: )" +
+motion: {type: curve, rotation: {sines: [{amplitude: [6, 9, 5], frequency: )" +
                                                std::to_string(1.3 * speed) +
                                                R"(, phase: 20},
                                           {amplitude: [4, -3, 6], frequency: )" +
