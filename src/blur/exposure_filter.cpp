@@ -9,8 +9,10 @@ namespace {
 
 double squared(double x) { return x * x; }
 
-/// Proportional to the density of a normal variable.
-double gauss(double x, double variance) { return std::exp(-0.5 * squared(x) / variance) / std::sqrt(variance); }
+/// Proportional to the density of a normal variable with mean 0.
+double normal_density(double x, double variance) {
+  return std::exp(-0.5 * squared(x) / variance) / std::sqrt(variance);
+}
 
 // However many estimates there are, some ten of them make the value: then changes of 1 % are not forgotten.
 constexpr double kLeastStddev = 0.004;
@@ -80,8 +82,8 @@ void ExposureFilter::update(const Value& measured) {
   const double variance = now.variance, sum = variance + measured.variance;
   const double wide_variance = variance + extra_variance(), wide_sum = wide_variance + measured.variance;
   const double gain = variance / sum, wide_gain = wide_variance / wide_sum;
-  const double scene = (1 - kByExposure) * gauss(innovation, sum);
-  const double wide_share = now.moves ? 1 : 1 / (1 + scene / (kByExposure * gauss(innovation, wide_sum)));
+  const double scene = (1 - kByExposure) * normal_density(innovation, sum);
+  const double wide_share = now.moves ? 1 : 1 / (1 + scene / (kByExposure * normal_density(innovation, wide_sum)));
   const double mean_gain = gain + wide_share * (wide_gain - gain);
   now.log_ns += mean_gain * innovation;
   now.per_s += now.covariance / wide_sum * innovation;

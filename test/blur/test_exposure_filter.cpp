@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "base/median.hpp"
+
 namespace gyro_deblur::exposure_filter_test {
 namespace {
 
@@ -185,6 +187,24 @@ TEST(ExposureFilter, FramesWithoutBlurLoseLittle) {
   // What is bright in other ways may be so by another exposure.
   camera.expose(&filter, 10 * kMs, 0, 3 * kBright, false);
   EXPECT_FALSE(filter.state());
+}
+
+TEST(ExposureFilter, BrightnessOfTheSceneAloneForgetsLittle) {
+  // A filter that takes every change of brightness for one of the exposure knows what its last estimate said: it ends
+  // at the standard deviation of an estimate.
+  constexpr double kStddev = 0.03;
+  std::vector<double> stddevs, errors;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    ExposureFilter filter;
+    Camera camera(kStddev, seed);
+    for (int i = 0; camera.looked() < 20 && i < 200; ++i) {
+      camera.expose(&filter, 20 * kMs, 0, i % 2 == 0 ? kBright : 2 * kBright);
+    }
+    errors.push_back(error(filter, 20 * kMs));
+    stddevs.push_back(filter.state() ? filter.state()->log_stddev : 1);
+  }
+  EXPECT_LT(median(stddevs), 0.75 * kStddev);
+  EXPECT_LT(median(errors), 0.4 * kStddev);
 }
 
 TEST(ExposureFilter, ForgetsWhenTimeJumpsBack) {
