@@ -39,6 +39,11 @@ constexpr std::array<BlockStatus, 9> kBlockStatuses{
 /// Name of the status, e.g. "DEBLURRED". Never null.
 const char* to_string(BlockStatus status);
 
+/// Whether the blur of a block with this status is known.
+constexpr bool has_known_blur(BlockStatus status) {
+  return status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED;
+}
+
 /// Division of an image into blocks of block_size_px; the last column and row are what is left.
 class BlockGrid {
  public:

@@ -53,7 +53,7 @@ const char* to_string(QualityGrade grade) {
 }
 
 std::optional<double> expected_repeatability(const BlockBlur& block, double noise_to_contrast) {
-  if (block.status == BlockStatus::NO_GYRO || block.status == BlockStatus::MASKED) return std::nullopt;
+  if (!has_known_blur(block.status)) return std::nullopt;
   const double extent_px = block.extent_px;
   if (block.status == BlockStatus::DEBLURRED) {
     constexpr double kSharp = 0.79, kHalvedPx = 54, kByNoise = 1.36, kNoiseFromPx = 1.25;

@@ -7,7 +7,6 @@
 #include <filesystem>
 #include <optional>
 #include <regex>
-#include <utility>
 
 #include <Eigen/Geometry>
 

@@ -6,6 +6,7 @@
 
 #include <Eigen/LU>
 
+#include "base/join.hpp"
 #include "config/yaml_reading.hpp"
 #include "gyro_deblur/rotation_track.hpp"
 
@@ -136,6 +137,11 @@ std::vector<std::string> Section::unknown_keys() const {
     }
   }
   return unknown;
+}
+
+void Section::require_known_keys(const std::string& advice) const {
+  const std::vector<std::string> unknown = unknown_keys();
+  if (!unknown.empty()) throw OptionError(path_ + ": unknown keys: " + join(unknown) + "; " + advice);
 }
 
 }  // namespace gyro_deblur

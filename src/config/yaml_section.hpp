@@ -53,6 +53,9 @@ class Section {
   void ignore(const std::string& key) const;
   /// Keys of this map and of its maps that were read, which nobody has asked for.
   std::vector<std::string> unknown_keys() const;
+  /// Throws OptionError if there are any: a misspelled key would be ignored.
+  /// @param advice  end of the message: where all keys are
+  void require_known_keys(const std::string& advice) const;
 
  private:
   struct KeyLog;

@@ -81,7 +81,7 @@ PointCovariance::PointCovariance(const cv::Mat& luminance, const FrameBlur& fiel
 Eigen::Matrix2d PointCovariance::at(const Eigen::Vector2d& pixel_px, double radius_px,
                                     const PointErrors& errors) const {
   const BlockBlur& block = field_.blocks[static_cast<std::size_t>(field_.grid.index_at(pixel_px.x(), pixel_px.y()))];
-  if (!field_.noise || block.status == BlockStatus::NO_GYRO || block.status == BlockStatus::MASKED) {
+  if (!field_.noise || !has_known_blur(block.status)) {
     return Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity()).asDiagonal();
   }
   const auto squared = [](double value) { return value * value; };

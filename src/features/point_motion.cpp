@@ -62,7 +62,7 @@ std::vector<RectifiedPoint> rectify_points(const std::vector<Eigen::Vector2d>& p
     point.rectified_px = raw_px;
     Eigen::Vector3d direction = camera.ray(raw_px);
     const TimeNs seen_ns = exposure.middle(raw_px.y());
-    if (status != BlockStatus::REJECTED && status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED &&
+    if (status != BlockStatus::REJECTED && has_known_blur(status) &&
         motion.covers({std::min(seen_ns, reference_ns), std::max(seen_ns, reference_ns)})) {
       const PointMotion::Place moved = point_motion.moved(raw_px, point_motion.movement(seen_ns, reference_ns));
       const Eigen::Vector3d seen_there = moved.direction ? *moved.direction : camera.ray(moved.pixel_px);

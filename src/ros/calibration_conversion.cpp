@@ -141,7 +141,7 @@ sensor_msgs::CameraInfo camera_info_message(const CameraCalibration& camera) {
   sensor_msgs::CameraInfo info;
   info.width = static_cast<std::uint32_t>(camera.width_px);
   info.height = static_cast<std::uint32_t>(camera.height_px);
-  // Named, or GCC 13 and later fear for the reference.
+  // A variable: GCC 13 and later warn of a dangling reference if lens_model() takes a temporary.
   const std::string model = camera.model == "none" ? "plumb_bob" : camera.model;
   const LensModelRow& lens = lens_model(model);
   info.distortion_model = lens.name;

@@ -155,18 +155,18 @@ void DeblurNodelet::onInit() {
     });
   }
   worker_ = std::thread(&DeblurNodelet::work, this);
-  advertise_service("reset", [this](std::string* text) { return on_reset(text); });
-  advertise_service("reset_calibration", [this](std::string* text) { return on_reset_calibration(text); });
-  advertise_service("save_calibration", [this](std::string* text) { return on_save_calibration(text); });
+  advertise_service("reset", &DeblurNodelet::on_reset);
+  advertise_service("reset_calibration", &DeblurNodelet::on_reset_calibration);
+  advertise_service("save_calibration", &DeblurNodelet::on_save_calibration);
   start_diagnostics();
 }
 
-void DeblurNodelet::advertise_service(const std::string& name, const std::function<bool(std::string*)>& serve) {
+void DeblurNodelet::advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string*)) {
   using std_srvs::Trigger;
   const boost::function<bool(Trigger::Request&, Trigger::Response&)> callback =
       [this, name, serve](Trigger::Request&, Trigger::Response& response) {
         try {
-          response.success = serve(&response.message);
+          response.success = (this->*serve)(&response.message);
         } catch (const std::exception& error) {
           response.success = false;
           response.message += (response.message.empty() ? "" : ", but ") + std::string(error.what());

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <atomic>
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -46,7 +45,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void onInit() override;
   Processor::Environment make_environment();
   /// A std_srvs/Trigger. `serve` says whether it succeeded, and what to respond and log.
-  void advertise_service(const std::string& name, const std::function<bool(std::string* text)>& serve);
+  void advertise_service(const std::string& name, bool (DeblurNodelet::*serve)(std::string* text));
   void start_diagnostics();
   /// The configuration, or nothing with the reason in `error`.
   std::optional<Config> load_parameters(std::string* error);

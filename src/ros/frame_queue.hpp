@@ -1,4 +1,4 @@
-// Frames that wait for what belongs to them, or to be processed, in order.
+// Frames that the node has not published yet, in the order of their arrival.
 #pragma once
 
 #include <deque>
@@ -18,7 +18,7 @@
 
 namespace gyro_deblur {
 
-/// What may keep a frame waiting.
+/// What a frame waits for.
 enum class Awaited { NOTHING, CAMERA_INFO, EXPOSURE, IMU, TRANSFORM, STEREO_PARTNER };
 
 struct FrameInWork;
@@ -28,29 +28,29 @@ struct PendingFrame {
   sensor_msgs::ImageConstPtr image;              ///< never null
   sensor_msgs::CameraInfoConstPtr info;          ///< null until known
   std::optional<CameraCalibration> calibration;  ///< of info
-  Lens lens = Lens::CALIBRATED;                  ///< of calibration, which is otherwise ideal_lens()
-  bool described_by_topic = false;               ///< info came with the image, and not from a file
+  Lens lens = Lens::CALIBRATED;                  ///< source of calibration, which is ideal_lens() unless CALIBRATED
+  bool described_by_topic = false;               ///< info is from the topic, not from a file
   TimeNs stamp_ns = 0;                           ///< camera clock
-  std::shared_ptr<Picture> picture;              ///< that it shows; null while it is not known, and if not usable
-  bool repeats = false;                          ///< an image before showed the same picture
+  std::shared_ptr<Picture> picture;              ///< that the image shows; null if the image is not usable
+  bool repeats = false;                          ///< an earlier image showed the same picture
   TimeNs arrival_ns = 0;                         ///< node clock (may be simulated time)
   TimeNs arrival_steady_ns = 0;                  ///< steady clock
-  std::optional<TimeNs> ready_steady_ns;         ///< steady clock; since when it has all that it needs
-  int epoch = 0;                                 ///< set by the queue; grows when time was reset
-  /// Why the frame passes through unchanged; NONE: nothing speaks against deblurring it.
+  std::optional<TimeNs> ready_steady_ns;         ///< steady clock; when its inputs became complete, if they are
+  int epoch = 0;                                 ///< set by FrameQueue::push, see EpochCounter
+  /// Why the frame passes through unchanged; NONE: it may be deblurred.
   PassThroughReason pass_through_reason = PassThroughReason::NONE;
   std::string pass_through_text;
-  Awaited awaits = Awaited::NOTHING;  ///< when it was checked last
-  bool timed_out = false;             ///< it waits for nothing any longer
-  std::string missing_extrinsic;      ///< why it waits for the rotation between IMU and camera; empty: it does not
-  bool partners_notified = false;     ///< to the stereo partners
-  /// What has been done already of one that waits for its stereo partners: it is processed to the end. Otherwise null.
+  Awaited awaits = Awaited::NOTHING;  ///< as of the last check
+  bool timed_out = false;             ///< inputs that have not come are no longer waited for
+  std::string missing_extrinsic;      ///< why the frame waits for the extrinsic; empty: it does not
+  bool partners_notified = false;     ///< the stereo rig knows that the frame passes through
+  /// Results so far, if the frame waits for its stereo partners in the middle of its processing; otherwise null.
   std::shared_ptr<FrameInWork> in_work;
 
-  /// Whether it may still come to pass through.
+  /// Whether the queue may still pass it through.
   bool is_undecided() const { return pass_through_reason == PassThroughReason::NONE && !in_work; }
 
-  /// Stamp of the picture: of the first image that showed it.
+  /// Stamp of the first image that showed the same picture.
   TimeNs picture_ns() const { return picture ? picture->stamp_ns : stamp_ns; }
 
   void pass_through(PassThroughReason reason, const std::string& text) {
@@ -59,11 +59,11 @@ struct PendingFrame {
   }
 };
 
-/// What a frame can do.
+/// What to do with a frame.
 enum class Readiness {
-  WAITS,         ///< for messages that may still come
-  PASS_THROUGH,  ///< it is published unchanged, PendingFrame::pass_through_reason says why
-  READY,         ///< it has what belongs to it
+  WAITS,         ///< an input is missing that may still come
+  PASS_THROUGH,  ///< publish it unchanged, see PendingFrame::pass_through_reason
+  READY,         ///< process it: all inputs are there
 };
 
 inline Readiness wait_for(Awaited awaited, PendingFrame* frame) {
@@ -76,19 +76,18 @@ inline Readiness pass_through(PendingFrame* frame, PassThroughReason reason, con
   return Readiness::PASS_THROUGH;
 }
 
-/// First in, first out; nothing is ever lost: a frame that cannot wait any longer passes through in order.
-/// Not thread-safe.
+/// First in, first out. No frame is lost: one that cannot wait any longer passes through, in its turn. Not thread-safe.
 class FrameQueue {
  public:
-  /// Precondition: capacity >= 1, the frames that may wait.
+  /// @param capacity  frames that may wait, >= 1
   explicit FrameQueue(std::size_t capacity) : capacity_(capacity) {}
 
   void set_capacity(std::size_t capacity) { capacity_ = capacity; }
 
-  /// Appends a frame; the oldest waiting ones beyond the capacity pass through as OVERLOAD.
+  /// Appends a frame. If more than the capacity wait, the oldest of them pass through as OVERLOAD.
   void push(PendingFrame frame);
 
-  /// Passes the waiting frames through that are from before time was reset, see EpochCounter::reset.
+  /// Time was reset: waiting frames of an earlier epoch pass through, see EpochCounter::reset.
   void pass_through_old(ShownBy shown_by, PassThroughReason reason, const std::string& text);
 
   bool empty() const { return frames_.empty(); }
@@ -97,13 +96,13 @@ class FrameQueue {
   PendingFrame& front() { return frames_.front(); }
   const PendingFrame& front() const { return frames_.front(); }
 
-  /// Frames behind the foremost one that have all that they need.
+  /// Number of frames behind the foremost one whose inputs are complete.
   std::size_t ready_behind_front() const;
 
   /// Precondition: not empty.
   PendingFrame pop();
 
-  /// The frame that pop() gave last cannot be published yet: it is the foremost one again.
+  /// Makes the frame that pop() returned last the foremost one again.
   void put_back(PendingFrame frame) { frames_.push_front(std::move(frame)); }
 
  private:

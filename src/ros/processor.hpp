@@ -37,20 +37,20 @@
 
 namespace gyro_deblur {
 
-/// A frame that has been taken out of the queue, and what has been done of it.
+/// A frame that is being processed, with its results so far.
 struct FrameInWork {
   explicit FrameInWork(SynchronizedFrame frame) : synchronized(std::move(frame)) {}
 
   SynchronizedFrame synchronized;
   FrameRequest request;
   FrameOutput output;
-  TimeNs idle_since_ns = 0;               ///< steady clock; since when it waits to be processed
-  ImageView view;                         ///< once processing has begun
-  std::optional<RotationTrack> rotation;  ///< as well
-  double preparation_ms = 0;              ///< of what its blur is predicted from
+  TimeNs idle_since_ns = 0;  ///< steady clock; when it came, or was put back into the queue
+  ImageView view;            ///< of the image; set by begin(), as is rotation
+  std::optional<RotationTrack> rotation;
+  double preparation_ms = 0;  ///< of set-up, before its blur is predicted
   ChosenExposure chosen;
-  std::shared_ptr<const MadePicture> made;  ///< that it repeats; null: its own is estimated
-  /// Of its own, in the pipeline; null until it is estimated.
+  std::shared_ptr<const MadePicture> made;  ///< result of an earlier image of the same picture, or null
+  /// Without `made`: the validated blur, in the pipeline; null until validate().
   const PipelineResult* validated = nullptr;
 };
 

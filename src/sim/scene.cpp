@@ -290,10 +290,7 @@ Scene parse_scene(const YAML::Node& node, const std::string& directory, const st
   if (s.has("imu")) scene.imu = parse_imu(s.child("imu"));
   for (const Section& plane : elements_or_none(s, "planes")) scene.planes.push_back(parse_plane(plane, directory));
   scene.motion = parse_motion(s.child("motion"), directory, scene.imu.R_cam_imu);
-  // A misspelled key would be ignored.
-  if (const std::vector<std::string> unknown = s.unknown_keys(); !unknown.empty()) {
-    throw OptionError(name + ": unknown keys: " + join(unknown) + "; config/scenes/handheld.yaml has every key");
-  }
+  s.require_known_keys("config/scenes/handheld.yaml has every key");
   try {
     scene.validate();
   } catch (const OptionError& e) {

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <utility>
 
 #include "base/format.hpp"
 #include "gyro_deblur/calibration.hpp"

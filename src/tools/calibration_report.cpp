@@ -2,12 +2,10 @@
 #include "tools/calibration_report.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 #include <filesystem>
 #include <optional>
 #include <set>
-#include <utility>
 
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>

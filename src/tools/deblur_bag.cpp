@@ -11,7 +11,6 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
-#include <utility>
 
 #include <rosbag/view.h>
 #include <nlohmann/json.hpp>
@@ -109,8 +108,7 @@ double readable_degrees(double angle_rad) {
 void report_field(const FrameBlur& field, nlohmann::json* frame) {
   const BlockBlur& center = field.blocks[static_cast<std::size_t>(
       field.grid.index_at((field.grid.width_px() - 1) / 2.0, (field.grid.height_px() - 1) / 2.0))];
-  (*frame)["median_extent_px"] = median_extent_px(
-      field, [](BlockStatus status) { return status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED; });
+  (*frame)["median_extent_px"] = median_extent_px(field, has_known_blur);
   (*frame)["center_extent_px"] = center.extent_px;
   (*frame)["center_angle_deg"] = readable_degrees(center.angle_rad);
   (*frame)["exposure_s"] = to_seconds(field.exposure_ns);

@@ -202,9 +202,6 @@ void run(const Arguments& arguments) {
 
   nlohmann::json counts;
   for (const BlockStatus status : kBlockStatuses) counts[to_string(status)] = field.count(status);
-  const auto is_known = [](BlockStatus status) {
-    return status != BlockStatus::NO_GYRO && status != BlockStatus::MASKED;
-  };
   write_json(arguments.common.json, {{"input", arguments.input},
                                      {"output", arguments.output},
                                      {"width", image.cols},
@@ -212,7 +209,7 @@ void run(const Arguments& arguments) {
                                      {"engine", engine->name()},
                                      {"noise_to_signal_ratio", arguments.filter.noise_to_signal_ratio},
                                      {"blocks", counts},
-                                     {"median_extent_px", median_extent_px(field, is_known)},
+                                     {"median_extent_px", median_extent_px(field, has_known_blur)},
                                      {"deconvolution_ms", deconvolution_ms}});
 
   std::cout << arguments.output << ": " << field.count(BlockStatus::DEBLURRED) << " of " << field.blocks.size()

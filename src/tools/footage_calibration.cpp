@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "base/format.hpp"
 #include "gyro_deblur/options.hpp"

@@ -316,11 +316,7 @@ Recording read_frames(const std::string& folder, const std::string& description_
   Recording recording = read_calibration(description);
   recording.frames = read_images(folder, description);
   recording.imu = read_imu(folder, description);
-  // A misspelled key would be ignored.
-  if (const std::vector<std::string> unknown = description.unknown_keys(); !unknown.empty()) {
-    throw std::runtime_error(description_path + ": unknown keys: " + join(unknown) +
-                             "; config/recordings/ has an example of each file");
-  }
+  description.require_known_keys("config/recordings/ has an example of each file");
   complete(folder, &recording);
   return recording;
 }

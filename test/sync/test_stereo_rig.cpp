@@ -84,13 +84,13 @@ class StereoRigTest : public testing::Test {
 };
 
 TEST_F(StereoRigTest, OneCameraDecidesAlone) {
-  make(kEndless, 1);
+  make(kEndless, /*cameras=*/1);
   camera(0).announce(kPeriod);
   EXPECT_EQ(camera(0).decide(kPeriod, blurred()).pass_through_text, "");
 }
 
 TEST_F(StereoRigTest, BothWaitForEachOther) {
-  make(kEndless, 3);
+  make(kEndless, /*cameras=*/3);
   for (TimeNs stamp_ns = kPeriod; stamp_ns < 20 * kPeriod; stamp_ns += kPeriod) {
     announce(stamp_ns);
     auto first = decide(0, stamp_ns), second = decide(1, stamp_ns);
@@ -410,7 +410,7 @@ TEST_F(DroppingRigTest, CameraThatDropsNoneLosesNone) {
 }
 
 TEST_F(DroppingRigTest, AloneItGoesByItself) {
-  make(kEndless, 1);
+  make(kEndless, /*cameras=*/1);
   camera(0).announce(kPeriod);
   EXPECT_EQ(camera(0).decide(kPeriod, blurred(), poor()).drop_text, "the image of /cam0 is POOR");
   camera(0).set_timeout(0);
