@@ -74,6 +74,9 @@ class RowExposure {
   TimeNs middle(double y) const;
   TimeNs end(double y) const;
 
+  /// From the start of one row to that of the next [ns]; negative: bottom-up; 0: global shutter.
+  double row_time_ns() const { return static_cast<double>(timing_.readout_ns) / rows_; }
+
   /// From the first start to the last end of any row.
   TimeRange frame() const;
 

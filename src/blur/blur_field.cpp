@@ -205,7 +205,7 @@ FrameBlur BlurFieldEstimator::estimate(const CameraMotion& motion, const RowExpo
         continue;
       }
       BlockBlur& block = field.blocks[i];
-      block = classify_path(path_px, options_, straight_only);
+      block = classify_path(rolling_shutter_path(path_px, exposure), options_, straight_only);
       block.residual = residual;
       // A residual velocity that cancels the rotation may leave no blur.
       if (block.status == BlockStatus::DEBLURRED && block.extent_px - uncertainty_px < options_.min_extent_px) {

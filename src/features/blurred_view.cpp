@@ -6,6 +6,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "blur/image_noise.hpp"
+#include "blur/path_2d.hpp"
 #include "features/corner_prediction.hpp"
 
 namespace gyro_deblur {
@@ -67,18 +68,20 @@ BlurredView::Residual BlurredView::residual_at(const Eigen::Vector2d& pixel_px) 
 
 BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Eigen::Vector3d& ray, const Camera& camera,
                                    const CameraMotion& motion) const {
-  BlurredPoint point{place_px, still_path(), noise_};
   const TimeNs start_ns = exposure_.start(place_px.y()), middle_ns = exposure_.middle(place_px.y()),
                end_ns = exposure_.end(place_px.y());
   const Residual residual = residual_at(place_px);
   const bool knows_rotation = motion.covers({start_ns, end_ns});
+  std::array<Eigen::Vector2d, kPathInstants> path_px;
   for (int k = 0; k < kPathInstants; ++k) {
     const TimeNs instant_ns = start_ns + (end_ns - start_ns) * k / (kPathInstants - 1);
-    Eigen::Vector2d at_px = to_seconds(instant_ns - middle_ns) * residual.velocity_px_s;
-    if (knows_rotation) at_px += camera.project(motion.rotation(middle_ns, instant_ns) * ray) - place_px;
-    if (!at_px.allFinite()) return {place_px, still_path(), noise_};  // beyond the range of the lens model
-    point.path_px[static_cast<std::size_t>(k)] = at_px.cast<float>();
+    path_px[k] = to_seconds(instant_ns - middle_ns) * residual.velocity_px_s;
+    if (knows_rotation) path_px[k] += camera.project(motion.rotation(middle_ns, instant_ns) * ray) - place_px;
+    if (!path_px[k].allFinite()) return {place_px, still_path(), noise_};  // beyond the range of the lens model
   }
+  BlurredPoint point{place_px, {}, noise_};
+  const std::array<Eigen::Vector2d, kPathInstants> recorded_px = rolling_shutter_path(path_px, exposure_);
+  for (int k = 0; k < kPathInstants; ++k) point.path_px[k] = recorded_px[k].cast<float>();
   return point;
 }
 

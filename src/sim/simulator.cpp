@@ -164,8 +164,15 @@ Eigen::Vector2d Simulator::truth_displacement(int i, const Eigen::Vector2d& pixe
   const Pose middle = pose(rows.middle(pixel_px.y()));
   const Eigen::Vector3d ray = camera_.ray(pixel_px);
   const std::vector<Eigen::Vector3d> points = renderer_.intersections(middle, ray);
-  return transfer(camera_, middle, ray, points, pose(rows.end(pixel_px.y()))) -
-         transfer(camera_, middle, ray, points, pose(rows.start(pixel_px.y())));
+  const auto place = [&](TimeNs (RowExposure::*instant_of)(double) const) {
+    constexpr int kIterations = 10;  // as in pixel_of()
+    Eigen::Vector2d place_px = pixel_px;
+    for (int k = 0; k < kIterations; ++k) {
+      place_px = transfer(camera_, middle, ray, points, pose((rows.*instant_of)(place_px.y())));
+    }
+    return place_px;
+  };
+  return place(&RowExposure::end) - place(&RowExposure::start);
 }
 
 Eigen::Vector2d Simulator::truth_rectified(int i, const Eigen::Vector2d& pixel_px, TimeNs reference_ns) const {

@@ -61,8 +61,8 @@ class Simulator {
   /// Pose at a time of the camera clock.
   Pose pose(TimeNs t_ns) const;
 
-  /// Displacement [px] from start to end of its row's exposure of the scene point which the pixel sees at the middle of
-  /// its row's exposure. NaN where the point leaves the front of the camera.
+  /// Displacement [px] within the exposure of the scene point which the pixel sees at the middle of its row's exposure:
+  /// from where a row begins to be exposed as the point passes it to where one ends. NaN where the point leaves the front of the camera.
   Eigen::Vector2d truth_displacement(int i, const Eigen::Vector2d& pixel_px) const;
   /// Pixel, at `reference_ns` (camera clock), of the scene point which the pixel sees at the middle of its row's
   /// exposure.

@@ -12,6 +12,7 @@
 #include "analytic_motion.hpp"
 #include "axial_difference.hpp"
 #include "base/median.hpp"
+#include "blur/path_2d.hpp"
 #include "euroc_camera.hpp"
 
 namespace gyro_deblur::blur_field_test {
@@ -312,15 +313,20 @@ TEST(BlurFieldEstimator, RollBlursAtRightAnglesToTheRadius) {
   }
 }
 
-/// Blur by the path of the point that the block's centre sees at mid-exposure, from the closed form of the motion.
+/// Blur by the path of the point that the block's centre sees at mid-exposure, from the closed form of the motion: what
+/// is seen of a place is what its own row sees.
 BlockBlur true_blur(const AnalyticMotion& motion, const Camera& camera, const Eigen::Vector2d& center_px,
                     const RowExposure& exposure) {
   const double y = center_px.y();
   const Eigen::Vector3d world = motion.R_world_cam(exposure.middle(y)) * camera.ray(center_px);
   const double duration_ns = static_cast<double>(exposure.end(y) - exposure.start(y));
   return classify_path(path_of([&](double part) {
-                         const TimeNs t_ns = exposure.middle(y) + std::llround(part * duration_ns);
-                         return camera.project(motion.R_world_cam(t_ns).transpose() * world);
+                         Eigen::Vector2d place_px = center_px;
+                         for (int i = 0; i < 20; ++i) {
+                           const TimeNs t_ns = exposure.middle(place_px.y()) + std::llround(part * duration_ns);
+                           place_px = camera.project(motion.R_world_cam(t_ns).transpose() * world);
+                         }
+                         return place_px;
                        }),
                        {});
 }
@@ -366,6 +372,48 @@ TEST(BlurFieldEstimator, RollingShutterLensAndGyroscopeAgreeWithTheTruth) {
     flipped.bias_rad_s *= -1;
     EXPECT_GT(error(flipped, exposure).median_extent_px, 0.5);
     EXPECT_GT(error(options, RowExposure(150 * kMs, 480, timing(30 * kMs, -readout_ns))).median_extent_px, 0.5);
+  }
+}
+
+// A point that moves by v rows a second is exposed for 1 / (1 - v t) times as long, t from row to row.
+TEST(RollingShutterPath, IsLongerWithTheReadoutAndShorterAgainstIt) {
+  for (const TimeNs readout_ns : {24 * kMs, -24 * kMs}) {
+    const RowExposure exposure(0, 480, timing(20 * kMs, readout_ns));
+    for (const Eigen::Vector2d& moved_px : {Eigen::Vector2d(30, 0), {0, 30}, {20, -60}, {-7, 3}}) {
+      const auto path_px = path_of([&](double part) { return part * moved_px; });
+      const double rows_per_row = moved_px.y() / 20e6 * static_cast<double>(readout_ns) / 480;
+      const auto recorded_px = rolling_shutter_path(path_px, exposure);
+      for (int k = 0; k < kPathInstants; ++k) {
+        EXPECT_LT((recorded_px[k] - path_px[k] / (1 - rows_per_row)).norm(), 1e-3) << moved_px.transpose();
+      }
+    }
+  }
+}
+
+TEST(RollingShutterPath, FollowsAcceleration) {
+  const RowExposure exposure(0, 480, timing(30 * kMs, 30 * kMs));
+  const auto place = [](double part) { return Eigen::Vector2d(20 * part, 50 * part + 30 * part * part); };
+  const auto recorded_px = rolling_shutter_path(path_of(place), exposure);
+  for (int k = 0; k < kPathInstants; ++k) {
+    // Part of the exposure at which the point passes a row that is at the part k of its own.
+    double part = k / (kPathInstants - 1.0) - 0.5;
+    for (int i = 0; i < 30; ++i) part = k / (kPathInstants - 1.0) - 0.5 + place(part).y() / 480;
+    EXPECT_LT((recorded_px[k] - place(part)).norm(), 0.01) << k;
+  }
+}
+
+TEST(RollingShutterPath, IsThePathItselfOfAGlobalShutter) {
+  const auto path_px = path_of([](double part) { return Eigen::Vector2d(20 * part, 50 * part + 30 * part * part); });
+  EXPECT_EQ(rolling_shutter_path(path_px, RowExposure(0, 480, timing(30 * kMs, 0))), path_px);
+}
+
+TEST(RollingShutterPath, IsFiniteWhereAPointKeepsUpWithTheReadout) {
+  const RowExposure exposure(0, 480, timing(30 * kMs, 30 * kMs));
+  for (const double moved_px : {470.0, 480.0, 500.0, 3000.0}) {
+    for (const Eigen::Vector2d& place_px :
+         rolling_shutter_path(path_of([=](double part) { return Eigen::Vector2d(0, moved_px * part); }), exposure)) {
+      EXPECT_TRUE(place_px.allFinite()) << moved_px;
+    }
   }
 }
 

@@ -145,7 +145,7 @@ class BlurredTrackerTest : public FeatureTrackerTest {
     EXPECT_LT(errors_px[errors_px.size() / 2], median_px);
     EXPECT_LT(errors_px[errors_px.size() * 9 / 10], most_px);
     // 2 where covariances are those of the errors, which depths that change add to: a single wall has none.
-    EXPECT_GT(squared / count, 0.1);
+    EXPECT_GT(squared / count, 0.05);
     EXPECT_LT(squared / count, 4);
   }
 };
