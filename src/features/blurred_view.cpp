@@ -87,22 +87,32 @@ BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Eigen:
 
 PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
                              const BlurredView& to, const CameraMotion& motion) {
-  PredictedPoint predicted{place_px, Eigen::Matrix2d::Identity(), true};
-  const auto predict = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
-    const Eigen::Vector2d rotated_px =
-        predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure()).value_or(at_px);
+  bool by_residual = true;
+  const auto rotate = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
+    return predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure())
+        .value_or(at_px);
+  };
+  const auto residual = [&](const Eigen::Vector2d& at_px, const Eigen::Vector2d& rotated_px) -> Eigen::Vector2d {
     const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(rotated_px);
-    predicted.by_residual = predicted.by_residual && (before.is_known || now.is_known);
+    by_residual = by_residual && (before.is_known || now.is_known);
     const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);
     const double seconds = to_seconds(to.exposure().middle(rotated_px.y()) - from.exposure().middle(at_px.y()));
-    return rotated_px + seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
+    return seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
   };
+  PredictedPoint predicted;
+  predicted.rotated_px = rotate(place_px);
+  predicted.place_px = predicted.rotated_px + residual(place_px, predicted.rotated_px);
   constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
-  predicted.place_px = predict(place_px);
   for (int axis = 0; axis < 2; ++axis) {
     const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis);
-    predicted.map.col(axis) = (predict(place_px + step_px) - predict(place_px - step_px)) / (2 * kHalfStepPx);
+    const Eigen::Vector2d ahead_px = rotate(place_px + step_px), behind_px = rotate(place_px - step_px);
+    predicted.rotated_map.col(axis) = (ahead_px - behind_px) / (2 * kHalfStepPx);
+    predicted.map.col(axis) =
+        predicted.rotated_map.col(axis) +
+        (residual(place_px + step_px, ahead_px) - residual(place_px - step_px, behind_px)) / (2 * kHalfStepPx);
   }
+  predicted.by_residual = by_residual;
+  if (!predicted.rotated_map.allFinite()) predicted.rotated_map.setIdentity();
   if (!predicted.map.allFinite()) predicted.map.setIdentity();
   return predicted;
 }

@@ -24,12 +24,12 @@ double median_of(std::array<double, kNeighbours> values, std::size_t count) {
 
 }  // namespace
 
-LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px) {
-  // Slopes are used where displacements known to 0.1 px say more than that they are about 0.01.
-  constexpr double kSlopePriorPx2 = 100;
+LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
+                         const LocalMotion& expected) {
+  // Slopes are used where displacements known to 0.1 px say more than that they are about 0.02.
+  constexpr double kSlopePriorPx2 = 25;
   constexpr int kIterations = 2;
-  LocalMotion motion{Eigen::Vector2d::Zero(), Eigen::Matrix2d::Zero()};
-  if (points.size() < kMinNeighbours) return motion;
+  if (points.size() < kMinNeighbours) return expected;
   // Farthest last of those kept so far, by insertion: most points are farther than all of them.
   std::array<std::pair<double, const DisplacedPoint*>, kNeighbours> nearest;
   std::size_t count = 0;
@@ -42,10 +42,14 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
   }
 
   // From the median on.
-  Eigen::Matrix<double, 3, 2> plane = Eigen::Matrix<double, 3, 2>::Zero();
+  Eigen::Matrix<double, 3, 2> plane;
+  plane.bottomRows<2>() = expected.slope.transpose();
   for (int axis = 0; axis < 2; ++axis) {
     std::array<double, kNeighbours> values;
-    for (std::size_t k = 0; k < count; ++k) values[k] = nearest[k].second->displacement_px[axis];
+    for (std::size_t k = 0; k < count; ++k) {
+      const DisplacedPoint& point = *nearest[k].second;
+      values[k] = (point.displacement_px - expected.slope * (point.place_px - place_px))[axis];
+    }
     plane(0, axis) = median_of(values, count);
   }
   const auto row_of = [&](const DisplacedPoint& point) {
@@ -70,10 +74,8 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
     }
     plane = normal.inverse() * right;
   }
-  if (!plane.allFinite()) return motion;
-  motion.displacement_px = plane.row(0).transpose();
-  motion.slope = plane.bottomRows<2>().transpose();
-  return motion;
+  if (!plane.allFinite()) return expected;
+  return {plane.row(0).transpose(), plane.bottomRows<2>().transpose()};
 }
 
 }  // namespace gyro_deblur

@@ -24,7 +24,7 @@ double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2
 
 /// Errors that are not noise: patches that no affine map takes to each other, and inexact paths.
 double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
-  constexpr double kFloorPx = 0.065, kShareOfExtent = 0.0078;  // fits, see doc/reports/tracks.md
+  constexpr double kFloorPx = 0.065, kShareOfExtent = 0.0068;  // fits, see doc/reports/tracks.md
   const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
   return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
 }
@@ -89,7 +89,9 @@ struct TrackSearch::Thread {
     const Eigen::Vector2d& place_px = state.point.place_px;
     const NearbyRays rays(step.camera, place_px, state.ray);
     candidate->predicted = predict_point(place_px, rays, step.before, step.now, motion);
-    candidate->predicted.map += step.seconds * state.unpredicted_slope_1_s;
+    if (state.residual_slope_1_s) {
+      candidate->predicted.map = candidate->predicted.rotated_map + step.seconds * *state.residual_slope_1_s;
+    }
     const double row = candidate->predicted.place_px.y();
     Eigen::Vector3d ray =
         rotated_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
@@ -245,28 +247,34 @@ void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState
 
 void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* candidates,
                          std::vector<TrackState>* states) {
+  // Against the rotation alone: what tracks show of the velocities around them is smoother, and more accurate, than
+  // residual velocities from block to block.
   std::vector<DisplacedPoint> displaced;
   for (std::size_t i = 0; i < candidates->size(); ++i) {
     const TrackCandidate& candidate = (*candidates)[i];
     if (!candidate.found) continue;
-    displaced.push_back({(*states)[i].point.place_px, candidate.found->place_px - candidate.predicted.place_px});
+    displaced.push_back({(*states)[i].point.place_px, candidate.found->place_px - candidate.predicted.rotated_px});
   }
   for_each(candidates->size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = (*candidates)[i];
     TrackState& state = (*states)[i];
-    const LocalMotion local = local_motion(displaced, state.point.place_px);
-    // Where the map stays what it was, the patches do too: this moves the corner of a window by a fifth of a pixel.
-    constexpr double kLeastSlope = 0.02;
-    const Eigen::Matrix2d change = local.slope - step.seconds * state.unpredicted_slope_1_s;
-    candidate.predicted.map += change;
-    if (!candidate.found || change.norm() > kLeastSlope) {
+    const PredictedPoint& predicted = candidate.predicted;
+    const LocalMotion local =
+        local_motion(displaced, state.point.place_px,
+                     {predicted.place_px - predicted.rotated_px, predicted.map - predicted.rotated_map});
+    // Where the map stays what it was, the patches do too: this moves the corner of a window by a tenth of a pixel.
+    constexpr double kLeastSlope = 0.01;
+    const Eigen::Matrix2d map = candidate.predicted.rotated_map + local.slope;
+    const bool has_changed = (map - candidate.predicted.map).norm() > kLeastSlope;
+    candidate.predicted.map = map;
+    if (!candidate.found || has_changed) {
       thread.find(state,
                   candidate.found ? candidate.found->place_px
-                                  : Eigen::Vector2d(candidate.predicted.place_px + local.displacement_px),
+                                  : Eigen::Vector2d(candidate.predicted.rotated_px + local.displacement_px),
                   &candidate);
     }
     if (!candidate.found) return;
-    state.unpredicted_slope_1_s = local.slope / step.seconds;
+    state.residual_slope_1_s = local.slope / step.seconds;
     thread.advance(&state, &candidate);
   });
 }

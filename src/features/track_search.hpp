@@ -41,8 +41,8 @@ struct TrackState {
   int anchor_age = 0;  ///< [images]
   /// Deviation from its prediction; nothing where a residual velocity predicted it, and at first.
   std::optional<Eigen::Vector2d> unpredicted_px_s;
-  /// Change of the map of its motion, less the predicted one.
-  Eigen::Matrix2d unpredicted_slope_1_s = Eigen::Matrix2d::Zero();
+  /// Jacobian of the velocities around it that the rotation does not explain; nothing at first.
+  std::optional<Eigen::Matrix2d> residual_slope_1_s;
   Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         ///< from there to the newest image
   Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  ///< there, against where the track began
   Eigen::Matrix2d since_anchor_px2 = Eigen::Matrix2d::Zero();       ///< in the newest image, against the anchor
@@ -67,7 +67,7 @@ struct TrackStep {
 
 /// A track in the new image.
 struct TrackCandidate {
-  PredictedPoint predicted;        ///< its map includes the track's last deviation from the predicted slope
+  PredictedPoint predicted;        ///< with the map by the last residual slope where that is known
   std::optional<NearbyRays> near;  ///< around the predicted place
   BlurredPoint near_start;         ///< the path of a point about there
   std::optional<Alignment> found;
