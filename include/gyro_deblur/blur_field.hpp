@@ -56,9 +56,9 @@ class BlurFieldEstimator {
 
   /// Paper eq. 2-5 for every block centre. The path is that of the scene point which the centre sees at the middle of
   /// its row's exposure (the paper starts the path at the centre; with a centred PSF that rotates the angle by half the
-  /// camera's roll during the exposure), at each place as that place's row is exposed. Blocks whose exposure `motion` does
-  /// not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the lens
-  /// model.
+  /// camera's roll during the exposure), at each place as that place's row is exposed. Blocks whose exposure `motion`
+  /// does not cover are NO_GYRO with extent 0; so are those whose centre, or whose path, lies beyond the range of the
+  /// lens model.
   /// @param residuals  of the blocks of grid(), or empty. A certain one (is_certain()) is added to the path. A block is
   ///                   SHARP if its extent minus its uncertainty is below min_extent_px. The uncertainty is the blur by
   ///                   one standard deviation of a certain residual velocity, or all blur by an uncertain one that

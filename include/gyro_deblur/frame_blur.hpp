@@ -114,7 +114,7 @@ struct ResidualRotation {
   double energy_px2_s2 = 0, energy_less_rotation_px2_s2 = 0, energy_less_translation_px2_s2 = 0;
 };
 
-/// Instants at which a path is known, evenly from the start to the end of the exposure.
+/// Instants at which a path is known, evenly from the start to the end of the exposure of the row that the point is in.
 constexpr int kPathInstants = 9;
 
 /// Straight path: places [px] of a scene point at kPathInstants along the line of its blur, relative to the place at

@@ -26,7 +26,7 @@ std::array<Eigen::Vector2d, kPathInstants> rolling_shutter_path(
     // The place decides the row, the row the time and the time the place: Newton's method. A point that keeps up with
     // the readout would be exposed for ever.
     constexpr int kSteps = 2;
-    constexpr double kLeastSlope = 0.2;
+    constexpr double kLeastSlope = 0.2, kMiddle = 0.5 * (kPathInstants - 1), kFarthest = kMiddle / kLeastSlope;
     for (int i = 0; i < kSteps; ++i) {
       const int middle = std::clamp(static_cast<int>(time + 0.5), 1, kPathInstants - 2);
       const double since = time - middle;
@@ -34,8 +34,9 @@ std::array<Eigen::Vector2d, kPathInstants> rolling_shutter_path(
                             change = path_px[middle + 1] - 2 * path_px[middle] + path_px[middle - 1];
       const double slope = 1 - instants_per_row * (speed.y() + since * change.y());
       const double step = (k + instants_per_row * recorded_px[k].y() - time) / std::max(slope, kLeastSlope);
-      time += step;
-      recorded_px[k] = path_px[middle] + (since + step) * speed + 0.5 * (since + step) * (since + step) * change;
+      time = std::clamp(time + step, kMiddle - kFarthest, kMiddle + kFarthest);
+      const double at = time - middle;
+      recorded_px[k] = path_px[middle] + at * speed + 0.5 * at * at * change;
     }
   }
   return recorded_px;

@@ -161,14 +161,16 @@ std::vector<ImuSample> Simulator::imu() const {
 
 Eigen::Vector2d Simulator::truth_displacement(int i, const Eigen::Vector2d& pixel_px) const {
   const RowExposure rows = exposure(i);
-  const Pose middle = pose(rows.middle(pixel_px.y()));
-  const Eigen::Vector3d ray = camera_.ray(pixel_px);
-  const std::vector<Eigen::Vector3d> points = renderer_.intersections(middle, ray);
+  return truth_rectified(i, pixel_px, rows.end(pixel_px.y())) - truth_rectified(i, pixel_px, rows.start(pixel_px.y()));
+}
+
+Eigen::Vector2d Simulator::recorded_displacement(int i, const Eigen::Vector2d& pixel_px) const {
+  const RowExposure rows = exposure(i);
   const auto place = [&](TimeNs (RowExposure::*instant_of)(double) const) {
-    constexpr int kIterations = 10;  // as in pixel_of()
+    constexpr int kIterations = 10;  // each leaves a tenth of the error, or less
     Eigen::Vector2d place_px = pixel_px;
-    for (int k = 0; k < kIterations; ++k) {
-      place_px = transfer(camera_, middle, ray, points, pose((rows.*instant_of)(place_px.y())));
+    for (int k = 0; k < kIterations && place_px.allFinite(); ++k) {
+      place_px = truth_rectified(i, pixel_px, (rows.*instant_of)(place_px.y()));
     }
     return place_px;
   };

@@ -61,9 +61,13 @@ class Simulator {
   /// Pose at a time of the camera clock.
   Pose pose(TimeNs t_ns) const;
 
-  /// Displacement [px] within the exposure of the scene point which the pixel sees at the middle of its row's exposure:
-  /// from where a row begins to be exposed as the point passes it to where one ends. NaN where the point leaves the front of the camera.
+  /// Displacement [px] from start to end of its row's exposure of the scene point which the pixel sees at the middle of
+  /// its row's exposure. NaN where the point leaves the front of the camera.
   Eigen::Vector2d truth_displacement(int i, const Eigen::Vector2d& pixel_px) const;
+
+  /// The same from where the row that the point is in starts to be exposed to where the row that it is in ends: the
+  /// blur that a rolling shutter records.
+  Eigen::Vector2d recorded_displacement(int i, const Eigen::Vector2d& pixel_px) const;
   /// Pixel, at `reference_ns` (camera clock), of the scene point which the pixel sees at the middle of its row's
   /// exposure.
   Eigen::Vector2d truth_rectified(int i, const Eigen::Vector2d& pixel_px, TimeNs reference_ns) const;

@@ -68,7 +68,7 @@ std::vector<double> true_extents(const Simulator& simulator, int frame) {
   for (int r = 0; r < kRows; ++r) {
     for (int c = 0; c < kColumns; ++c) {
       const Eigen::Vector2d pixel((c + 0.5) * camera.width_px / kColumns, (r + 0.5) * camera.height_px / kRows);
-      const double extent = simulator.truth_displacement(frame, pixel).norm();
+      const double extent = simulator.recorded_displacement(frame, pixel).norm();
       if (std::isfinite(extent)) extents.push_back(extent);
     }
   }

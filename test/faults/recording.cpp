@@ -72,7 +72,7 @@ Recording::Recording(const std::string& scene_path, double seconds) {
         {at_ns, at_ns, sensor_msgs::CameraInfoConstPtr(boost::make_shared<sensor_msgs::CameraInfo>(info)), index});
     deliveries_.push_back(
         {at_ns, at_ns, sensor_msgs::ImageConstPtr(to_image(frame.image, header, simulated.camera.encoding)), index});
-    center_extents_px_.push_back(simulator.truth_displacement(i, {center_x, center_y}).norm());
+    center_extents_px_.push_back(simulator.recorded_displacement(i, {center_x, center_y}).norm());
   }
   std::stable_sort(deliveries_.begin(), deliveries_.end(),
                    [](const Delivery& a, const Delivery& b) { return a.at_ns < b.at_ns; });

@@ -93,6 +93,20 @@ TEST_F(BlurredViewTest, PathIsThatOfRotationAndResidualVelocity) {
   }
 }
 
+TEST_F(BlurredViewTest, PathIsWhatARollingShutterRecords) {
+  ShutterTiming timing;
+  timing.exposure_ns = kExposureNs;
+  timing.readout_ns = 48'000'000;
+  FrameBlur field = field_;
+  for (BlockBlur& block : field.blocks) block.residual = ResidualVelocity{{100, 500}, 1};
+  const BlurredView view(image_, RowExposure(20'000'000, kSize.height, timing), &field);
+  const RotationTrack still({}, GyroOptions{}, Eigen::Matrix3d::Identity());
+  const BlurredPoint point = view.point_at(kPixel, camera().ray(kPixel), camera(), still);
+  // 500 rows a second, and 0.2 ms a row: a tenth of a row for each.
+  const Eigen::Vector2d expected_px = to_seconds(kExposureNs) * Eigen::Vector2d(100, 500) / (1 - 0.1);
+  EXPECT_LT(((point.path_px.back() - point.path_px.front()).cast<double>() - expected_px).norm(), 1e-3);
+}
+
 TEST_F(BlurredViewTest, WhatIsNotKnownOfTheMotionCountsAsNone) {
   const BlurredView unknown(image_, exposure(0), nullptr), moving(image_, exposure(0), &field_);
   const RotationTrack nothing({}, GyroOptions{}, Eigen::Matrix3d::Identity());
@@ -119,7 +133,10 @@ TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
   const PredictedPoint predicted = predicted_from(before, now, rolling());
   EXPECT_TRUE(predicted.by_residual);
   EXPECT_LT((predicted.place_px - rolled(kPixel, seconds) - seconds * kVelocityPxS).norm(), 1e-3);
-  EXPECT_LT((predicted.map - Eigen::Rotation2Dd(-kRollRadS * seconds).toRotationMatrix()).norm(), 1e-4);
+  const Eigen::Matrix2d rotation = Eigen::Rotation2Dd(-kRollRadS * seconds).toRotationMatrix();
+  EXPECT_LT((predicted.map - rotation).norm(), 1e-4);
+  EXPECT_LT((predicted.rotated_px - rolled(kPixel, seconds)).norm(), 1e-3);
+  EXPECT_LT((predicted.rotated_map - rotation).norm(), 1e-4);
 
   const BlurredView unknown(image_, exposure(1), nullptr);
   EXPECT_FALSE(predicted_from(BlurredView(image_, exposure(0), nullptr), unknown, rolling()).by_residual);

@@ -102,7 +102,7 @@ motion: {type: curve, rotation: {sines: [{amplitude: [6, 0, 4], frequency: 1.3},
     std::vector<double> errors;
     for (int b = 0; b < field.grid.size(); ++b) {
       const BlockBlur& block = field.blocks[b];
-      const Eigen::Vector2d truth = simulator_.truth_displacement(i, field.grid.center(b));
+      const Eigen::Vector2d truth = simulator_.recorded_displacement(i, field.grid.center(b));
       if (block.status == BlockStatus::NO_GYRO || !truth.allFinite()) continue;
       const Eigen::Vector2d path =
           block.extent_px * Eigen::Vector2d(std::cos(block.angle_rad), std::sin(block.angle_rad));
@@ -160,7 +160,7 @@ TEST_F(ProcessorImagesTest, AGapOfTheGyroscopePassesUnlessTheImagesBridgeIt) {
     }
     for (const double error : errors_px(i, *output.field)) errors.push_back(error);
     for (int b = 0; b < output.field->grid.size(); ++b) {
-      truths.push_back(simulator_.truth_displacement(i, output.field->grid.center(b)).norm());
+      truths.push_back(simulator_.recorded_displacement(i, output.field->grid.center(b)).norm());
     }
   }
   EXPECT_EQ(processor_.statistics().frames_by_images_alone, static_cast<std::size_t>(kGapEnd - kGapBegin));

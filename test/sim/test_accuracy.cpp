@@ -126,7 +126,7 @@ Errors measure(const Simulator& simulator, const Signs& signs) {
     const RowExposure exposure = exposure_of(simulator, i, signs);
     const FrameBlur field = estimator.estimate(track, exposure);
     for (int b = 0; b < field.grid.size(); ++b) {
-      const Eigen::Vector2d truth = simulator.truth_displacement(i, field.grid.center(b));
+      const Eigen::Vector2d truth = simulator.recorded_displacement(i, field.grid.center(b));
       const BlockBlur& blur = field.blocks[static_cast<std::size_t>(b)];
       extents.push_back(std::abs(static_cast<double>(blur.extent_px) - truth.norm()));
       truth_extents.push_back(truth.norm());
@@ -364,7 +364,7 @@ TEST(Orbit, TheImagesAddTranslationAndNoSharpBlockIsDeblurred) {
     if (i < kFirst) continue;
     for (int b = 0; b < field.grid.size(); ++b) {
       const std::size_t n = static_cast<std::size_t>(b);
-      const Eigen::Vector2d truth = simulator.truth_displacement(i, field.grid.center(b));
+      const Eigen::Vector2d truth = simulator.recorded_displacement(i, field.grid.center(b));
       rotation_errors.push_back(error_px(rotation_field.blocks[n], truth));
       errors.push_back(error_px(field.blocks[n], truth));
       if (truth.norm() >= min_extent_px) {

@@ -189,6 +189,33 @@ TEST(Renderer, RollingShutterSlantsAVerticalEdge) {
   }
 }
 
+TEST(Renderer, RollingShutterBlursWhatMovesAgainstTheReadoutLess) {
+  // A horizontal edge moves up by 500 px/s; rows are 0.25 ms apart, or 0.25 ms from the bottom up.
+  struct Case {
+    double readout, offset_m, rows_per_row;
+  };
+  for (const auto& [readout, offset_m, rows_per_row] : {Case{0.04, -1.155, -0.125}, Case{-0.04, -0.955, 0.125}}) {
+    Scene scene =
+        scene_of(small_scene("{type: constant_rate, rate: [0, 0, 0], position: {offset: [0, " +
+                                 std::to_string(offset_m) + ", 0], rate: [0, 5, 0]}}",
+                             "exposure_time: 0.02, encoding: mono16, readout_time: " + std::to_string(readout)));
+    scene.planes.front().texture = step_texture().t();
+    Simulator sim(scene);
+    const EdgeMoments blurred = edge_moments(sim.frame(0).image.t(), 100), still = edge_moments(sim.sharp(0).t(), 100);
+    const double extent_px = 10 / (1 - rows_per_row);
+    EXPECT_NEAR(std::sqrt(12 * (blurred.variance - still.variance)), extent_px, 0.1) << readout;
+    EXPECT_NEAR(sim.recorded_displacement(0, {100, 80}).y(), -extent_px, 1e-3) << readout;
+    EXPECT_NEAR(sim.truth_displacement(0, {100, 80}).y(), -10, 1e-9) << readout;
+  }
+}
+
+TEST(Simulator, TruthIsNotANumberBehindTheCamera) {
+  // The camera turns by a right angle within the exposure: what it sees at its middle is beside it at the end.
+  const Simulator sim(scene_of(small_scene("{type: constant_rate, rate: [0, 10000, 0]}", "exposure_time: 0.02")));
+  EXPECT_FALSE(sim.truth_displacement(0, {150, 80}).allFinite());
+  EXPECT_FALSE(sim.recorded_displacement(0, {150, 80}).allFinite());
+}
+
 TEST(Renderer, TheNearestPlaneWinsAndTheRestIsBackground) {
   const std::string planes =
       "{size: [0.8, 0.8], position: [0, 0, 2], texture_size: [64, 64]}, "
