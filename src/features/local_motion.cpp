@@ -24,12 +24,12 @@ double median_of(std::array<double, kNeighbours> values, std::size_t count) {
 
 }  // namespace
 
-LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
-                         const LocalMotion& expected) {
-  // Slopes are used where displacements known to 0.1 px say more than that they are about 0.02.
+std::optional<LocalMotion> local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
+                                        const Eigen::Matrix2d& expected_slope) {
+  // Slopes are used where displacements known to 0.1 px say more than that they are within about 0.02 of the expected.
   constexpr double kSlopePriorPx2 = 25;
   constexpr int kIterations = 2;
-  if (points.size() < kMinNeighbours) return expected;
+  if (points.size() < kMinNeighbours) return std::nullopt;
   // Farthest last of those kept so far, by insertion: most points are farther than all of them.
   std::array<std::pair<double, const DisplacedPoint*>, kNeighbours> nearest;
   std::size_t count = 0;
@@ -43,12 +43,12 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
 
   // From the median on.
   Eigen::Matrix<double, 3, 2> plane;
-  plane.bottomRows<2>() = expected.slope.transpose();
+  plane.bottomRows<2>() = expected_slope.transpose();
   for (int axis = 0; axis < 2; ++axis) {
     std::array<double, kNeighbours> values;
     for (std::size_t k = 0; k < count; ++k) {
       const DisplacedPoint& point = *nearest[k].second;
-      values[k] = (point.displacement_px - expected.slope * (point.place_px - place_px))[axis];
+      values[k] = (point.displacement_px - expected_slope * (point.place_px - place_px))[axis];
     }
     plane(0, axis) = median_of(values, count);
   }
@@ -65,6 +65,7 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
     const double spread_px = spread_of_median(median_of(distances_px, count));
     Eigen::Matrix3d normal = Eigen::Vector3d(0, kSlopePriorPx2, kSlopePriorPx2).asDiagonal();
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
+    right.bottomRows<2>() = kSlopePriorPx2 * expected_slope.transpose();
     for (std::size_t k = 0; k < count; ++k) {
       const DisplacedPoint& point = *nearest[k].second;
       const Eigen::Vector3d row = row_of(point);
@@ -74,8 +75,8 @@ LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen:
     }
     plane = normal.inverse() * right;
   }
-  if (!plane.allFinite()) return expected;
-  return {plane.row(0).transpose(), plane.bottomRows<2>().transpose()};
+  if (!plane.allFinite()) return std::nullopt;
+  return LocalMotion{plane.row(0).transpose(), plane.bottomRows<2>().transpose()};
 }
 
 }  // namespace gyro_deblur

@@ -1,6 +1,7 @@
 // Motion around a point, by that of its neighbours.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -18,9 +19,10 @@ struct DisplacedPoint {
   Eigen::Vector2d place_px, displacement_px;
 };
 
-/// Plane through the displacements of the nearest points, robust against those of another depth or object.
-/// @param expected  the motion where there are not enough points, and the slope that the fit begins with
-LocalMotion local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
-                         const LocalMotion& expected = {});
+/// Plane through the displacements of the nearest points, robust against those of another depth or object. Nothing
+/// where there are fewer than six.
+/// @param expected_slope  in directions in which the points do not extend, the slope stays near it
+std::optional<LocalMotion> local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
+                                        const Eigen::Matrix2d& expected_slope = Eigen::Matrix2d::Zero());
 
 }  // namespace gyro_deblur

@@ -194,8 +194,9 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
     Eigen::Vector2d start_px = candidate.predicted.place_px;
     if (!candidate.predicted.by_residual) {
       if (of_last.empty()) return;
-      start_px += state.unpredicted_px_s ? Eigen::Vector2d(step.seconds * *state.unpredicted_px_s)
-                                         : local_motion(of_last, state.point.place_px).displacement_px;
+      start_px += state.unpredicted_px_s
+                      ? Eigen::Vector2d(step.seconds * *state.unpredicted_px_s)
+                      : local_motion(of_last, state.point.place_px).value_or(LocalMotion{}).displacement_px;
     }
     thread.find(state, start_px, &candidate);
     // Without a residual velocity it may have been found by chance, unless it is certain and near: search_far()
@@ -258,23 +259,25 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
   for_each(candidates->size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = (*candidates)[i];
     TrackState& state = (*states)[i];
-    const PredictedPoint& predicted = candidate.predicted;
-    const LocalMotion local =
-        local_motion(displaced, state.point.place_px,
-                     {predicted.place_px - predicted.rotated_px, predicted.map - predicted.rotated_map});
+    PredictedPoint& predicted = candidate.predicted;
+    const std::optional<LocalMotion> local =
+        local_motion(displaced, state.point.place_px, predicted.map - predicted.rotated_map);
     // Where the map stays what it was, the patches do too: this moves the corner of a window by a tenth of a pixel.
     constexpr double kLeastSlope = 0.01;
-    const Eigen::Matrix2d map = candidate.predicted.rotated_map + local.slope;
-    const bool has_changed = (map - candidate.predicted.map).norm() > kLeastSlope;
-    candidate.predicted.map = map;
+    bool has_changed = false;
+    Eigen::Vector2d start_px = predicted.place_px;
+    if (local) {
+      const Eigen::Matrix2d map = predicted.rotated_map + local->slope;
+      has_changed = (map - predicted.map).norm() > kLeastSlope;
+      predicted.map = map;
+      start_px = predicted.rotated_px + local->displacement_px;
+    }
     if (!candidate.found || has_changed) {
-      thread.find(state,
-                  candidate.found ? candidate.found->place_px
-                                  : Eigen::Vector2d(candidate.predicted.rotated_px + local.displacement_px),
-                  &candidate);
+      thread.find(state, candidate.found ? candidate.found->place_px : start_px, &candidate);
     }
     if (!candidate.found) return;
-    state.residual_slope_1_s = local.slope / step.seconds;
+    state.residual_slope_1_s.reset();
+    if (local) state.residual_slope_1_s = local->slope / step.seconds;
     thread.advance(&state, &candidate);
   });
 }

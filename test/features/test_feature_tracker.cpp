@@ -144,7 +144,8 @@ class BlurredTrackerTest : public FeatureTrackerTest {
     std::sort(errors_px.begin(), errors_px.end());
     EXPECT_LT(errors_px[errors_px.size() / 2], median_px);
     EXPECT_LT(errors_px[errors_px.size() * 9 / 10], most_px);
-    // 2 where covariances are those of the errors, which depths that change add to: a single wall has none.
+    // 2 where covariances are those of the errors, which depths that change add to: a single wall has none, and the map
+    // of its motion is exact.
     EXPECT_GT(squared / count, 0.05);
     EXPECT_LT(squared / count, 4);
   }

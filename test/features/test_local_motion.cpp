@@ -29,26 +29,38 @@ std::vector<DisplacedPoint> neighbours(int outliers, double noise_px) {
   return points;
 }
 
+LocalMotion motion_of(const std::vector<DisplacedPoint>& points) { return local_motion(points, kMiddle).value(); }
+
 TEST(LocalMotion, IsThePlaneThroughItsNeighbours) {
-  const LocalMotion motion = local_motion(neighbours(0, 0), kMiddle);
+  const LocalMotion motion = motion_of(neighbours(0, 0));
   EXPECT_LT((motion.displacement_px - kDisplacement).norm(), 0.01);
   EXPECT_LT((motion.slope - slope()).norm(), 1e-3);  // less what the prior of no motion takes
-  EXPECT_LT((local_motion(neighbours(0, 0.1), kMiddle).slope - slope()).norm(), 0.005);
+  EXPECT_LT((motion_of(neighbours(0, 0.1)).slope - slope()).norm(), 0.005);
 }
 
 TEST(LocalMotion, DoesNotFollowOutliers) {
-  const LocalMotion motion = local_motion(neighbours(3, 0.05), kMiddle);
+  const LocalMotion motion = motion_of(neighbours(3, 0.05));
   EXPECT_LT((motion.displacement_px - kDisplacement).norm(), 0.1);
   EXPECT_LT((motion.slope - slope()).norm(), 0.01);
 }
 
-TEST(LocalMotion, OfTooFewIsNone) {
+TEST(LocalMotion, OfTooFewIsNotKnown) {
   std::vector<DisplacedPoint> points = neighbours(0, 0);
   points.resize(5);
-  const LocalMotion motion = local_motion(points, kMiddle);
-  EXPECT_TRUE(motion.displacement_px.isZero());
-  EXPECT_TRUE(motion.slope.isZero());
-  EXPECT_TRUE(local_motion({}, kMiddle).slope.isZero());
+  EXPECT_FALSE(local_motion(points, kMiddle));
+  EXPECT_FALSE(local_motion({}, kMiddle, slope()));
+}
+
+TEST(LocalMotion, KeepsTheExpectedSlopeAcrossARowOfPoints) {
+  std::vector<DisplacedPoint> points;
+  for (int i = -4; i <= 4; ++i) {
+    const Eigen::Vector2d away_px(15 * i, 0);
+    points.push_back({kMiddle + away_px, kDisplacement + slope() * away_px});
+  }
+  EXPECT_LT((local_motion(points, kMiddle, slope()).value().slope - slope()).norm(), 1e-6);
+  const Eigen::Matrix2d other = motion_of(points).slope;
+  EXPECT_LT((other.col(0) - slope().col(0)).norm(), 1e-3);
+  EXPECT_LT(other.col(1).norm(), 1e-6);
 }
 
 }  // namespace
