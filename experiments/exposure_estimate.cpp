@@ -60,7 +60,7 @@ RowExposure assumed_exposure(const RowExposure& truth, int rows, TimeNs exposure
 double true_extent_px(const Footage& footage, int frame, const BlockGrid& grid) {
   std::vector<double> extents_px;
   for (int b = 0; b < grid.size(); ++b) {
-    const Eigen::Vector2d moved_px = footage.truth().truth_displacement(frame, grid.center(b));
+    const Eigen::Vector2d moved_px = footage.truth().recorded_displacement(frame, grid.center(b));
     if (moved_px.allFinite()) extents_px.push_back(moved_px.norm());
   }
   return quantile(extents_px, 0.5);
@@ -98,6 +98,8 @@ std::vector<Change> changes() {
   return changes;
 }
 
+constexpr TimeNs kPeriodNs = 1'000'000'000 / static_cast<TimeNs>(kFps);
+
 /// Of consecutive frames, as the pipeline would.
 class Looker {
  public:
@@ -112,7 +114,7 @@ class Looker {
     look.noise = image_noise(image, PixelLayout::GRAY);
     look.validation_ms = ms_of([&] { validate_blur_field(look.field, image, ValidationOptions{}, 1, look.noise); });
     if (estimates) {
-      look.estimate_ms = ms_of([&] { look.estimate = estimate_exposure(look.field, image, look.noise, 1); });
+      look.estimate_ms = ms_of([&] { look.estimate = estimate_exposure(look.field, image, look.noise, 1, kPeriodNs); });
     }
     return look;
   }

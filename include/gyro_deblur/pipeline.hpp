@@ -45,7 +45,8 @@ struct ExposureAnswer {
 /// How an exposure time is found that is not certain.
 struct ExposureQuestion {
   bool estimate = true;   ///< the exposure is estimated from the blur (doc/design/exposure.md)
-  TimeNs longest_ns = 0;  ///< longest time that the exposure may be; 0: not known
+  TimeNs longest_ns = 0;  ///< longest time that the exposure is expected to be; 0: not known
+  TimeNs period_ns = 0;   ///< frame period: no exposure is longer; 0: not known
 };
 
 /// What images still lack for an estimate of the exposure time.

@@ -74,16 +74,16 @@ std::size_t index_of_least(const std::vector<double>& sum) {
 }
 
 /// All ratios of the range, after none at all; and where the best of them is near an end, as many beyond as it takes to
-/// see whether it is but the flank of what lies there.
-Costs coarse_costs(RatioFit* fit, double first_log, double last_log) {
+/// see whether it is but the flank of what lies there. None is beyond `limit_log`.
+Costs coarse_costs(RatioFit* fit, double first_log, double last_log, double limit_log) {
   Costs costs;
   costs.add(fit, kNone, kBeginning);
   fit->costs(std::exp(first_log), kBeginning);
   double highest = first_log;
-  for (; highest <= last_log; highest += kStepLog) costs.add(fit, highest);
+  for (; highest <= std::min(last_log, limit_log); highest += kStepLog) costs.add(fit, highest);
   const double best = costs.log_ratios[index_of_least(sum_of(costs, least_of(costs, costs.of_windows.front())))];
   if (best == kNone) return costs;
-  for (; highest <= best + kReachLog; highest += kStepLog) costs.add(fit, highest);
+  for (; highest <= std::min(best + kReachLog, limit_log); highest += kStepLog) costs.add(fit, highest);
   fit->costs(std::exp(first_log), kBeginning);
   for (double lowest = first_log - kStepLog; lowest >= best - kReachLog; lowest -= kStepLog) costs.add(fit, lowest);
   return costs;
@@ -95,10 +95,12 @@ struct Peak {
   double depth;           ///< of the zeros, 1 as the path has them
 };
 
-std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double first_log, double last_log) {
+/// @param limit_log  of the logarithms of ratios: an exposure beyond it is impossible
+std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double first_log, double last_log,
+                            double limit_log) {
   if (spectra.empty()) return std::nullopt;
   RatioFit fit(spectra, std::exp(last_log + kReachLog));
-  const Costs coarse = coarse_costs(&fit, first_log, last_log);
+  const Costs coarse = coarse_costs(&fit, first_log, last_log, limit_log);
   std::vector<double> least = least_of(coarse, coarse.of_windows.front());
   const double best = coarse.log_ratios[index_of_least(sum_of(coarse, least))];
   // Of shorter blur the first zero is where photographs end, and their end is taken for it.
@@ -139,18 +141,23 @@ std::optional<Peak> peak_of(const std::vector<MotionSpectrum>& spectra, double f
 }  // namespace
 
 std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const cv::Mat& luminance,
-                                                  std::optional<double> noise_grey_levels, int threads) {
+                                                  std::optional<double> noise_grey_levels, int threads,
+                                                  TimeNs limit_ns) {
   field.grid.require_luminance(luminance, "exposure estimation");
   if (!noise_grey_levels) noise_grey_levels = image_noise(luminance, PixelLayout::GRAY, 8, 1, {}, threads);
   // Windows are chosen for the blur that is assumed; where it is another, they are chosen again.
   constexpr int kTries = 3;
   constexpr double kSameWindows = 0.55;
+  constexpr double kMargin = 1.1;
+  const double limit_log =
+      limit_ns > 0 ? std::log(kMargin * static_cast<double>(limit_ns) / static_cast<double>(field.exposure_ns))
+                   : std::numeric_limits<double>::infinity();
   double log_scale = 0;
   for (int i = 0; i < kTries; ++i) {
     const std::vector<MotionSpectrum> spectra =
         motion_spectra(field, luminance, std::exp(log_scale), noise_grey_levels.value_or(0), threads);
-    const std::optional<Peak> peak =
-        peak_of(spectra, std::log(kMinExposureRatio) - log_scale, std::log(kMaxExposureRatio) - log_scale);
+    const std::optional<Peak> peak = peak_of(spectra, std::log(kMinExposureRatio) - log_scale,
+                                             std::log(kMaxExposureRatio) - log_scale, limit_log - log_scale);
     if (!peak) return std::nullopt;
     log_scale += peak->log_ratio;
     if (std::abs(peak->log_ratio) > kSameWindows) continue;
@@ -160,11 +167,13 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     constexpr double kLeastDepth = 0.35;
     if (peak->more_elsewhere < kLeastMore || peak->depth < kLeastDepth) return std::nullopt;
     // Errors that all windows have in common, of the velocity first of all; those of windows that overlap are
-    // correlated.
-    constexpr double kCommon = 0.01, kOverlap = 1.4;
+    // correlated. The path of an
+    // assumed exposure that is too long has acceleration that the blur has not.
+    constexpr double kCommon = 0.01, kTooLong = 0.02, kOverlap = 1.4;
     const double ratio = std::exp(log_scale);
-    if (ratio < kMinExposureRatio || ratio > kMaxExposureRatio) return std::nullopt;
-    return ExposureEstimate{ratio, std::hypot(kOverlap * peak->log_stddev, kCommon)};
+    if (ratio < kMinExposureRatio || ratio > kMaxExposureRatio || log_scale > limit_log) return std::nullopt;
+    return ExposureEstimate{ratio,
+                            std::hypot(kOverlap * peak->log_stddev, kCommon, kTooLong * std::max(-log_scale, 0.0))};
   }
   return std::nullopt;
 }

@@ -7,6 +7,7 @@
 
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
+#include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
 
@@ -21,8 +22,10 @@ namespace gyro_deblur {
 ///                           doc/reports/exposure.md
 /// @param noise_grey_levels  image_noise() of the luminance where that is known already
 /// @param threads            at most; 0: one for each core
+/// @param limit_ns           no exposure is more than a tenth longer, such as the frame period; 0: not known
 /// Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const cv::Mat& luminance,
-                                                  std::optional<double> noise_grey_levels = {}, int threads = 0);
+                                                  std::optional<double> noise_grey_levels = {}, int threads = 0,
+                                                  TimeNs limit_ns = 0);
 
 }  // namespace gyro_deblur

@@ -164,7 +164,7 @@ std::optional<ExposureFilter::State> ExposureFilter::state() const {
 bool ExposureFilter::wants_estimate() const {
   // Images that are looked at in vain cost as much as others: less often, the longer that lasts.
   constexpr int kEvery = 6, kEveryUnknown = 3, kInVainPerWait = 4;
-  constexpr double kWellKnown = 0.02;
+  constexpr double kWellKnown = 0.0175;
   if (candidate_) return true;
   const std::optional<State> now = state();
   const bool well_known = now && now->log_stddev <= kWellKnown && !value_->moves;

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <utility>
 
+#include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
 
 #include "base/fourier.hpp"
@@ -29,8 +30,7 @@ constexpr int kFirstWave = 2;
 using Path2 = std::array<Eigen::Vector2d, kPathInstants>;
 
 bool is_usable(const BlockBlur& block) {
-  return block.status != BlockStatus::NO_GYRO && block.status != BlockStatus::MASKED &&
-         block.status != BlockStatus::STATIC_EDGE;
+  return has_known_blur(block.status) && block.status != BlockStatus::STATIC_EDGE;
 }
 
 Path2 path_of(const BlockBlur& block) {
@@ -71,13 +71,21 @@ double share_within(int begin_px, int end_px, int first_px, int shrink) {
   return kShares[(end_px - first_px) / shrink] - kShares[(begin_px - first_px) / shrink];
 }
 
-/// Blur of a window: the mean of what its blocks have, by their weight in the window. Nothing where too little of it is
-/// known.
-std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px, int shrink) {
+struct WindowBlur {
+  Path2 path_px;                       // the mean of what its blocks have, by their weight in the window
+  Eigen::Matrix2d chord_variance_px2;  // within the window, of the path from its first to its last place
+};
+
+/// Nothing where too little of the window is known.
+std::optional<WindowBlur> blur_in(const FrameBlur& field, const cv::Rect& window_px, int shrink) {
   constexpr double kLeastShare = 0.7;
   const BlockGrid& grid = field.grid;
   Path2 sum;
   sum.fill(Eigen::Vector2d::Zero());
+  const Eigen::Vector2d middle_px =
+      0.5 * Eigen::Vector2d(window_px.tl().x + window_px.br().x, window_px.tl().y + window_px.br().y);
+  Eigen::Vector2d places_px = Eigen::Vector2d::Zero();
+  Eigen::Matrix2d squares_px2 = Eigen::Matrix2d::Zero(), products_px2 = Eigen::Matrix2d::Zero();
   double all = 0, usable = 0;
   const int size_px = grid.block_size_px();
   const int end_row = std::min((window_px.br().y - 1) / size_px + 1, grid.rows());
@@ -96,11 +104,23 @@ std::optional<Path2> path_in(const FrameBlur& field, const cv::Rect& window_px, 
       const double signed_weight = same_way < 0 ? -weight : weight;
       for (int k = 0; k < kPathInstants; ++k) sum[k] += signed_weight * path_px[k];
       usable += weight;
+      const Eigen::Vector2d from_middle_px = grid.center(i) - middle_px;
+      places_px += weight * from_middle_px;
+      squares_px2 += weight * from_middle_px * from_middle_px.transpose();
+      products_px2 += signed_weight * (path_px.back() - path_px.front()) * from_middle_px.transpose();
     }
   }
   if (usable < kLeastShare * all || usable == 0) return std::nullopt;
   for (Eigen::Vector2d& place : sum) place /= usable;
-  return sum;
+  // The chord as a linear function of the place: blocks are too coarse for its variance, and their errors add to it.
+  constexpr double kLeastScatterPx2 = 1;  // of the blocks' centres, where all are in one row or column
+  const double window_variance = 1.0 / 12 - 5 / (8 * CV_PI * CV_PI);  // of Hann's window squared, over its side squared
+  places_px /= usable;
+  const Eigen::Matrix2d scatter_px2 =
+      squares_px2 / usable - places_px * places_px.transpose() + kLeastScatterPx2 * Eigen::Matrix2d::Identity();
+  const Eigen::Matrix2d slope =
+      (products_px2 / usable - (sum.back() - sum.front()) * places_px.transpose()) * scatter_px2.inverse();
+  return WindowBlur{sum, window_variance * window_px.width * window_px.width * slope * slope.transpose()};
 }
 
 /// The line that lies nearest to the places.
@@ -128,8 +148,8 @@ double extent_along(const Path2& path_px, const Eigen::Vector2d& direction) {
 }
 
 struct Window {
-  cv::Rect rect;  // [px of the halved image]
-  Path2 path_px;  // of the full image
+  cv::Rect rect;    // [px of the halved image]
+  WindowBlur blur;  // of the full image
 };
 
 /// The image, halved as often as suits the blur.
@@ -187,24 +207,25 @@ constexpr int kPoints = kWaves + 1;
 struct Samples {
   std::vector<float> power, noise;  // whitened
   std::vector<float> along, tilt;
-  std::vector<int> begins;  // by slice and point, and where the last one ends
+  std::vector<float> steepness2;  // squared part across the motion over that along it
+  std::vector<int> begins;        // by slice and point, and where the last one ends
 
   void resize(std::size_t count) {
-    for (std::vector<float>* values : {&power, &noise, &along, &tilt}) values->resize(count);
+    for (std::vector<float>* values : {&power, &noise, &along, &tilt, &steepness2}) values->resize(count);
   }
 };
 
 /// Sums over the frequencies of one point of a spectrum.
 struct Sums {
-  float weight = 0, power = 0, noise = 0, frequency = 0, tilt = 0;
+  float weight = 0, power = 0, noise = 0, frequency = 0, tilt = 0, steepness2 = 0;
 };
 
 /// With the weights that give the mean power the least variance, if the signal is known.
 Sums sums_of(const Samples& samples, int begin, int end, float signal) {
   const float *power = samples.power.data(), *noise = samples.noise.data(), *along = samples.along.data(),
-              *tilt = samples.tilt.data();
-  float weights = 0, powers = 0, noises = 0, frequencies = 0, tilts = 0;
-#pragma omp simd reduction(+ : weights, powers, noises, frequencies, tilts)
+              *tilt = samples.tilt.data(), *steepness2 = samples.steepness2.data();
+  float weights = 0, powers = 0, noises = 0, frequencies = 0, tilts = 0, steep = 0;
+#pragma omp simd reduction(+ : weights, powers, noises, frequencies, tilts, steep)
   for (int i = begin; i < end; ++i) {
     const float both = signal + noise[i], weight = 1 / (both * both);
     weights += weight;
@@ -212,11 +233,16 @@ Sums sums_of(const Samples& samples, int begin, int end, float signal) {
     noises += weight * noise[i];
     frequencies += weight * along[i];
     tilts += weight * tilt[i];
+    steep += weight * steepness2[i];
   }
-  return {weights, powers, noises, frequencies, tilts};
+  return {weights, powers, noises, frequencies, tilts, steep};
 }
 
-std::vector<SpectrumPoint> points_of(const Samples& samples, int slice) {
+/// @param steepness       of the slice's middle
+/// @param chord_variance  within the window, along and across the motion, over the squared extent; none is seen of a
+///                        path that returns to its start
+std::vector<SpectrumPoint> points_of(const Samples& samples, int slice, double steepness,
+                                     const Eigen::Matrix2d& chord_variance) {
   // Powers of neighbouring frequencies are correlated, by Hann's window: 1.94 of them along each axis have the
   // information of one that is independent.
   constexpr float kCorrelatedPowers = 1.94F * 1.94F;
@@ -240,6 +266,9 @@ std::vector<SpectrumPoint> points_of(const Samples& samples, int slice) {
     point.noise = sum.noise / sum.weight;
     // An exponential distribution's deviation is its mean: with the weights above that of their mean is this.
     point.log_variance = kCorrelatedPowers / (sum.weight * point.power * point.power);
+    point.spread =
+        static_cast<float>(std::sqrt(std::max(0.0, chord_variance(0, 0) + 2 * steepness * chord_variance(0, 1) +
+                                                       sum.steepness2 / sum.weight * chord_variance(1, 1))));
     point.tilt = sum.tilt / sum.weight;
   }
   return points;
@@ -346,6 +375,7 @@ void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float 
       samples.power[i] = kScale * white[squared] * (v < 0 ? opposite[-v] : powers[v]);
       samples.noise[i] = noise_variance * white[squared];
       samples.along[i] = along;
+      samples.steepness2[i] = (static_cast<float>(squared) - along * along) / (along * along);
       samples.tilt[i] = static_cast<float>(kTexture) * along / static_cast<float>(squared);
     }
   }
@@ -354,15 +384,20 @@ void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float 
 void add_spectra(const Window& window, int index, const Halved& level, Scratch* scratch,
                  std::vector<MotionSpectrum>* spectra) {
   take_powers(level.image(window.rect), scratch);
-  const Eigen::Vector2d direction = direction_of(window.path_px), normal(-direction.y(), direction.x());
-  const Slices slices = slices_of(window.path_px, direction);
+  const Path2& path_px = window.blur.path_px;
+  const Eigen::Vector2d direction = direction_of(path_px), normal(-direction.y(), direction.x());
+  const Slices slices = slices_of(path_px, direction);
+  Eigen::Matrix2d axes;
+  axes << direction, normal;
+  const Eigen::Matrix2d chord_variance =
+      axes.transpose() * window.blur.chord_variance_px2 * axes / std::pow(extent_along(path_px, direction), 2);
   take_samples(slices, direction, static_cast<float>(level.noise_variance), scratch);
   for (int slice = 0; slice < slices.count; ++slice) {
     const double steepness = slices.count > 1 ? -kSteepest + (slice + 0.5) * slices.step : 0;
-    MotionSpectrum motion{index, {}, points_of(scratch->samples, slice)};
+    MotionSpectrum motion{index, {}, points_of(scratch->samples, slice, steepness, chord_variance)};
     const double windows_per_px = 1.0 / (level.shrink * kWindow);
     for (int k = 0; k < kPathInstants; ++k) {
-      motion.path[k] = static_cast<float>(windows_per_px * (direction + steepness * normal).dot(window.path_px[k]));
+      motion.path[k] = static_cast<float>(windows_per_px * (direction + steepness * normal).dot(path_px[k]));
     }
     if (!motion.points.empty()) spectra->push_back(std::move(motion));
   }
@@ -387,10 +422,11 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
     for (const int x : places(level.image.cols, step_px)) {
       const cv::Rect rect(x, y, kWindow, kWindow);
       const cv::Rect rect_px(level.shrink * x, level.shrink * y, level.shrink * kWindow, level.shrink * kWindow);
-      std::optional<Path2> path_px = path_in(field, rect_px, level.shrink);
-      if (!path_px) continue;
-      for (Eigen::Vector2d& place : *path_px) place *= scale;
-      if (extent_along(*path_px, direction_of(*path_px)) >= kLeastPx) windows.push_back({rect, *path_px});
+      std::optional<WindowBlur> blur = blur_in(field, rect_px, level.shrink);
+      if (!blur) continue;
+      for (Eigen::Vector2d& place : blur->path_px) place *= scale;
+      blur->chord_variance_px2 *= scale * scale;
+      if (extent_along(blur->path_px, direction_of(blur->path_px)) >= kLeastPx) windows.push_back({rect, *blur});
     }
   }
   std::vector<std::vector<MotionSpectrum>> of_windows(windows.size());

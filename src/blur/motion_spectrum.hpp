@@ -16,6 +16,7 @@ struct SpectrumPoint {
   float power;         ///< > 0, noise included
   float noise;         ///< the part of it that noise has in the mean, >= 0
   float log_variance;  ///< of the natural logarithm of `power`, were the texture as usual
+  float spread;        ///< within the window, of the path along this frequency: standard deviation over mean
   float tilt;          ///< by which the logarithm of usual texture falls along the motion [1/wave]
 };
 

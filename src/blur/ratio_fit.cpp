@@ -108,14 +108,20 @@ RatioFit::RatioFit(const std::vector<MotionSpectrum>& spectra, double largest_ra
   constexpr float kMiddleWave = 12;
   // Of Hann's window, whose amplitudes are 1/2, 1, 1/2, and of the bins of one wave.
   constexpr float kAdjacent = 1.0F / 6 + 1.0F / 24;
+  // Blur that varies within the window smears as the window does: their variances add up. It does not shift the mean,
+  // as the texture's slope within the window does.
+  const auto reach_of = [](const SpectrumPoint& p) {
+    return std::sqrt(1 + std::pow(p.frequency * p.spread, 2.0F) / (2 * kAdjacent));
+  };
   common_ << 0, 0, 0, 1;
   for (const MotionSpectrum& spectrum : spectra) {
-    const double last = largest_ratio * (spectrum.points.back().frequency + 1);
+    const double last = largest_ratio * (spectrum.points.back().frequency + reach_of(spectrum.points.back()));
     const auto begin = static_cast<int>(points_.x.size());
     float sum = 0, weights = 0;
     for (const SpectrumPoint& p : spectrum.points) {
       const float x = std::log(p.frequency / kMiddleWave), weight = 1 / (p.log_variance + kOwnTexture);
-      const float before = kAdjacent * std::exp(p.tilt), behind = kAdjacent * std::exp(-p.tilt),
+      const float reach = reach_of(p);
+      const float before = kAdjacent * std::exp(p.tilt / reach), behind = kAdjacent * std::exp(-p.tilt / reach),
                   all = 1 - 2 * kAdjacent + before + behind;
       points_.x.push_back(x);
       points_.x2.push_back(x * x);
@@ -123,6 +129,7 @@ RatioFit::RatioFit(const std::vector<MotionSpectrum>& spectra, double largest_ra
       points_.frequency.push_back(p.frequency);
       points_.before.push_back(before / all);
       points_.behind.push_back(behind / all);
+      points_.reach.push_back(reach);
       points_.log_power.push_back(std::log(p.power));
       points_.noise.push_back(p.noise);
       points_.weight.push_back(weight);
@@ -143,9 +150,9 @@ void RatioFit::apply(float ratio) {
   Points& p = points_;
   for (const Spectrum& s : spectra_) {
     for (int i = s.begin; i < s.end; ++i) {
-      const float f = ratio * p.frequency[i];
-      p.gain[i] = (1 - p.before[i] - p.behind[i]) * s.transfer.at(f) + p.before[i] * s.transfer.at(f - ratio) +
-                  p.behind[i] * s.transfer.at(f + ratio) + kLeft;
+      const float f = ratio * p.frequency[i], reach = ratio * p.reach[i];
+      p.gain[i] = (1 - p.before[i] - p.behind[i]) * s.transfer.at(f) + p.before[i] * s.transfer.at(f - reach) +
+                  p.behind[i] * s.transfer.at(f + reach) + kLeft;
     }
   }
   float* const gain = p.gain.data();

@@ -56,7 +56,8 @@ class RatioFit {
   struct Points {
     std::vector<float> x, x2, x3, gain;  ///< that slope, curve, cube and depth are multiplied with
     std::vector<float> frequency;
-    std::vector<float> before, behind;  ///< shares of the adjacent frequencies after windowing
+    std::vector<float> before, behind;  ///< shares of the frequencies that are `reach` away after windowing
+    std::vector<float> reach;           ///< [waves], 1 where the extent is the same all over the window
     std::vector<float> log_power, noise, weight, root_weight;
     std::vector<float> share, error, robust;  ///< of the signal in the power; of log_power; weight times share
   };

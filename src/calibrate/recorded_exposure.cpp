@@ -178,7 +178,7 @@ void RecordedExposureEstimator::add(TimeNs stamp_ns, TimeNs middle_ns, const cv:
   request.image = request.keypoints = false;
   request.luminance = true;
   request.without_gyro = without_gyro_;
-  request.exposure = ExposureQuestion{};
+  request.exposure = ExposureQuestion{true, 0, plan.period_ns};
   const RowExposure exposure(middle_ns, image.rows, timing);
   const PipelineResult& estimated = pipeline_.estimate(image, layout, motion_, exposure, request);
   const ChosenExposure chosen = choice_.decide(stamp_ns, plan, estimated.exposure_estimate, estimated.mean_brightness);

@@ -91,6 +91,7 @@ ExposurePlan ExposureChoice::plan(const std::optional<GivenExposure>& given,
                                   const std::optional<TimeNs>& period_ns) const {
   ExposurePlan plan;
   plan.given = given;
+  plan.period_ns = period_ns.value_or(0);
   plan.estimate = filter_of(given).wants_estimate();
   // By plan.given. Where nothing is known it is the default, which is replaced below.
   static_cast<ChosenExposure&>(plan) = chosen(plan);

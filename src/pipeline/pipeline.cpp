@@ -193,8 +193,9 @@ void Pipeline::Impl::examine_exposure(FrameContext& frame) {
   result.sharp_at_any_exposure =
       longest > 0 && longest_extent_px(result.field) * longest < options_.blur_field.min_extent_px;
   if (question.estimate && !result.sharp_at_any_exposure) {
-    result.exposure_estimate = estimate_exposure(
-        result.field, frame.luminance(), frame.has_own_luminance() ? frame.noise : std::nullopt, options_.threads);
+    result.exposure_estimate =
+        estimate_exposure(result.field, frame.luminance(), frame.has_own_luminance() ? frame.noise : std::nullopt,
+                          options_.threads, question.period_ns);
   }
   result.mean_brightness = cv::mean(frame.luminance())[0];
 }

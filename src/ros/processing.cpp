@@ -220,8 +220,8 @@ void Processor::begin(FrameInWork* work) {
   request.behind_camera_rate = synchronized.behind_camera_rate;
   request.repeats_picture = frame.repeats;
   request.without_gyro = synchronized.without_gyro;
-  request.exposure =
-      ExposureQuestion{synchronized.plan.estimate && !synchronized.plan.decided, synchronized.plan.longest_ns};
+  const ExposurePlan& plan = synchronized.plan;
+  request.exposure = ExposureQuestion{plan.estimate && !plan.decided, plan.longest_ns, plan.period_ns};
   Stopwatch watch;
   work->view = view_image(*frame.image);
   work->output.messages_ms += watch.lap();

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
 
 #include "gyro_deblur/blur_field.hpp"
 #include "paths_2d.hpp"
@@ -82,6 +83,47 @@ TEST(ExposureEstimate, FollowsCurvedPaths) {
   }
 }
 
+/// Displacement within the exposure of a camera that turns and approaches what it sees.
+Eigen::Vector2d approaching_px(const Eigen::Vector2d& pixel_px) {
+  constexpr double kGrowth = 0.05;
+  return Eigen::Vector2d(14, 4) + kGrowth * (pixel_px - Eigen::Vector2d(0.5 * kWidthPx, 0.5 * kHeightPx));
+}
+
+cv::Mat approached(const cv::Mat& scene) {
+  constexpr int kInstants = 96;
+  cv::Mat sum = cv::Mat::zeros(scene.size(), CV_32F), x(scene.size(), CV_32F), y(scene.size(), CV_32F), seen;
+  for (int k = 0; k < kInstants; ++k) {
+    const double part = (k + 0.5) / kInstants - 0.5;
+    for (int row = 0; row < scene.rows; ++row) {
+      for (int col = 0; col < scene.cols; ++col) {
+        const Eigen::Vector2d from_px = Eigen::Vector2d(col, row) - part * approaching_px({col, row});
+        x.at<float>(row, col) = static_cast<float>(from_px.x());
+        y.at<float>(row, col) = static_cast<float>(from_px.y());
+      }
+    }
+    cv::remap(scene, seen, x, y, cv::INTER_CUBIC, cv::BORDER_REFLECT);
+    cv::accumulate(seen, sum);
+  }
+  return sum / kInstants;
+}
+
+// Were all of a window blurred alike, the mean of these estimates would be 2.5 % too short.
+TEST(ExposureEstimate, FollowsBlurThatVariesWithinAWindow) {
+  FrameBlur field = assumed_field(0, 14, 1);
+  for (int i = 0; i < field.grid.size(); ++i) {
+    const Eigen::Vector2d moved_px = approaching_px(field.grid.center(i));
+    field.blocks[i] = classify_blur(moved_px.x(), moved_px.y(), {});
+  }
+  constexpr int kImages = 8;
+  double sum = 0;
+  for (int seed = 0; seed < kImages; ++seed) {
+    const auto estimate = estimate_exposure(field, test::expose(approached(texture(70 + seed)), 2, seed));
+    ASSERT_TRUE(estimate);
+    sum += std::log(estimate->ratio);
+  }
+  EXPECT_NEAR(sum / kImages, 0, 0.012);
+}
+
 /// The left part of an image from one, the right from the other.
 cv::Mat side_by_side(const cv::Mat& left, const cv::Mat& right, int border_px) {
   cv::Mat both = right.clone();
@@ -114,6 +156,16 @@ TEST(ExposureEstimate, IsNotKnownBeyondTheRangeOfRatios) {
   const cv::Mat image = test::expose(test::blur_along_line(texture(58), 1.1, 20), 2, 7);
   EXPECT_FALSE(estimate_exposure(assumed_field(1.1, 20, 0.2), image));
   EXPECT_FALSE(estimate_exposure(assumed_field(1.1, 20, 5), image));
+}
+
+TEST(ExposureEstimate, IsNotLongerThanAnExposureMayBe) {
+  const cv::Mat image = test::expose(test::blur_along_line(texture(66), 1.1, 20), 2, 7);
+  FrameBlur field = assumed_field(1.1, 20, 0.5);
+  field.exposure_ns = 10'000'000;
+  for (const TimeNs longest_ns : {0, 60'000'000, 20'000'000}) {
+    expect_ratio(estimate_exposure(field, image, {}, 0, longest_ns), 2);
+  }
+  EXPECT_FALSE(estimate_exposure(field, image, {}, 0, 15'000'000));
 }
 
 TEST(ExposureEstimate, IsNotKnownWithoutTextureOrInNoise) {
