@@ -52,14 +52,17 @@ class Shake:
             result.append(rotation_matrix(-(time_s - grid_s[k]) * rates[k]) @ rotation)
         return result
 
-    def path(self, place_px, start_s, exposure_s=EXPOSURE_S):
+    def path(self, place_px, start_s, exposure_s=EXPOSURE_S, row_time_s=0.0):
         """Places [px] of a scene point that is at place_px at the middle of the exposure, from there."""
-        rotations = self.rotations(start_s, np.linspace(start_s, start_s + exposure_s, INSTANTS))
-        middle = rotations[INSTANTS // 2]
         center_px = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
         ray = np.append((np.asarray(place_px) - center_px) / FOCAL_PX, 1)
-        rotated = np.array([rotation @ middle.T @ ray for rotation in rotations])
-        return FOCAL_PX * rotated[:, :2] / rotated[:, 2:] + center_px - place_px
+        path_px = np.zeros((INSTANTS, 2))
+        for _ in range(5 if row_time_s else 1):
+            times_s = np.linspace(start_s, start_s + exposure_s, INSTANTS) + row_time_s * path_px[:, 1]
+            rotations = self.rotations(times_s[0], times_s)
+            rotated = np.array([rotation @ rotations[INSTANTS // 2].T @ ray for rotation in rotations])
+            path_px = FOCAL_PX * rotated[:, :2] / rotated[:, 2:] + center_px - place_px
+        return path_px
 
 
 def rotation_matrix(vector_rad):
@@ -160,7 +163,8 @@ def blur_model(data, folder):
         for left in range(0, WIDTH_PX, BLOCK_PX):
             place_px = np.array([(left + min(left + BLOCK_PX, WIDTH_PX) - 1) / 2,
                                  (top + min(top + BLOCK_PX, HEIGHT_PX) - 1) / 2])
-            path_px = shake.path(place_px, START_S + READOUT_S * place_px[1] / HEIGHT_PX)
+            path_px = shake.path(place_px, START_S + READOUT_S * place_px[1] / HEIGHT_PX,
+                                 row_time_s=READOUT_S / HEIGHT_PX)
             line = Line(path_px)
             color = ORANGE if line.is_curved() else BLUE if line.is_nonuniform() else GREEN
             field.plot(*(place_px + path_px).T, color=color, linewidth=1.8)
