@@ -4,8 +4,7 @@
 #include "base/fourier_simd.hpp"
 #include "base/vectors_impl.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
 struct Complex {
@@ -200,29 +199,6 @@ inline void run_innermost(const Elements& elements, int size, int radix, const f
   }
 }
 
-/// Transposes a square of kLanes floats a side.
-inline void transpose(const float* from, std::ptrdiff_t from_stride, float* to, std::ptrdiff_t to_stride) {
-#if defined(__SSE2__)
-  for (int y = 0; y < kLanes; y += 4) {
-    for (int x = 0; x < kLanes; x += 4) {
-      const float* at = from + y * from_stride + x;
-      __m128 a = _mm_load_ps(at), b = _mm_load_ps(at + from_stride), c = _mm_load_ps(at + 2 * from_stride),
-             d = _mm_load_ps(at + 3 * from_stride);
-      _MM_TRANSPOSE4_PS(a, b, c, d);
-      float* put = to + x * to_stride + y;
-      _mm_store_ps(put, a);
-      _mm_store_ps(put + to_stride, b);
-      _mm_store_ps(put + 2 * to_stride, c);
-      _mm_store_ps(put + 3 * to_stride, d);
-    }
-  }
-#else
-  for (int y = 0; y < kLanes; ++y) {
-    for (int x = 0; x < kLanes; ++x) to[x * to_stride + y] = from[y * from_stride + x];
-  }
-#endif
-}
-
 inline Elements in_scratch(float* scratch) { return {scratch, scratch + kLanes, 2 * kLanes}; }
 
 /// Columns that are transformed together: those of one vector are the real parts, those of the next the imaginary ones.
@@ -256,8 +232,8 @@ inline void begin_rows(const FourierTile& tile_plan, int first_row, const float*
   const std::ptrdiff_t stride = fourier_stride(plan.size);
   const float *re = tile + first_row * stride, *im = re + tile_plan.down.size / 2 * stride;
   for (int x = 0; x < plan.size; x += kLanes) {
-    transpose(re + x, stride, z.re + x * z.step, z.step);
-    transpose(im + x, stride, z.im + x * z.step, z.step);
+    transpose_floats(re + x, stride, z.re + x * z.step, z.step);
+    transpose_floats(im + x, stride, z.im + x * z.step, z.step);
   }
   run_first_stages(plan, z, z);
 }
@@ -286,8 +262,8 @@ void filter_rows(const FourierTile& tile_plan, int first_row, const float* gain,
   run_innermost(z, size, plan.radices[plan.count - 1], gain);
   run_first_stages_back(plan, z, z);
   for (int x = first_col / kLanes * kLanes; x < end_col; x += kLanes) {
-    transpose(z.re + x * z.step, z.step, re + x, stride);
-    transpose(z.im + x * z.step, z.step, im + x, stride);
+    transpose_floats(z.re + x * z.step, z.step, re + x, stride);
+    transpose_floats(z.im + x * z.step, z.step, im + x, stride);
   }
 }
 
@@ -323,5 +299,4 @@ extern const FourierSimd kFourierSimd;
 const FourierSimd kFourierSimd = {GYRO_DEBLUR_ISA_NAME, kLanes,     kLargestRadix,  transform_columns,
                                   filter_rows,          row_powers, restore_columns};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

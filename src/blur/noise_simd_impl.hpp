@@ -3,8 +3,7 @@
 #include "base/vectors_impl.hpp"
 #include "blur/noise_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
 // 1, -4, 6, -4, 1 has the most power at half a cycle a pixel that five weights can have alone there.
@@ -63,5 +62,4 @@ void sum_band(const float* const* rows, int cols, float* __restrict down, NoiseS
 extern const NoiseSimd kNoiseSimd;
 const NoiseSimd kNoiseSimd = {GYRO_DEBLUR_ISA_NAME, add_samples<std::uint8_t>, add_samples<std::uint16_t>, sum_band};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

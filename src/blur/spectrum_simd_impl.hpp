@@ -5,20 +5,10 @@
 #include "base/vectors_impl.hpp"
 #include "blur/spectrum_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
 constexpr int kHalf = kSpectrumWindow / 2;
-
-typedef std::uint8_t ByteVector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
-
-template <typename T>
-T load_as(const std::uint8_t* from) {
-  T v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
 
 template <typename T>
 T smaller(T a, T b) {
@@ -201,12 +191,10 @@ struct Product {
   IntVector exponent = {};
 
   void multiply(Vector by) {
-    IntVector bits;
-    std::memcpy(&bits, &by, sizeof bits);
+    IntVector bits = load_as<IntVector>(&by);
     exponent += (bits >> 23) - 127;
     bits = (bits & 0x7fffff) | 0x3f800000;
-    std::memcpy(&by, &bits, sizeof by);
-    mantissa *= by;
+    mantissa *= load_as<Vector>(&bits);
   }
   double log() const {
     double product = 1;
@@ -226,9 +214,7 @@ inline Vector exp_of(Vector v) {
   const Vector rest = (binary - __builtin_convertvector(whole, Vector)) * static_cast<float>(M_LN2);
   const Vector of_rest = 1 + rest * (1 + rest * (1 / 2.0f + rest * (1 / 6.0f + rest * (1 / 24.0f))));
   const IntVector bits = (whole + 127) << 23;
-  Vector of_whole;
-  std::memcpy(&of_whole, &bits, sizeof bits);
-  return of_rest * of_whole;
+  return of_rest * load_as<Vector>(&bits);
 }
 
 /// One value for each sector, summed over its places.
@@ -366,5 +352,4 @@ extern const SpectrumSimd kSpectrumSimd;
 const SpectrumSimd kSpectrumSimd = {GYRO_DEBLUR_ISA_NAME, clip_outliers,      power_spectrum,
                                     multiply_gain,        multiply_path_gain, least_cost};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

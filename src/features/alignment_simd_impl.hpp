@@ -2,25 +2,17 @@
 #include "base/vectors_impl.hpp"
 #include "features/alignment_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
-typedef float FourFloats __attribute__((vector_size(16)));
 /// A row of the interpolation's table, whatever the processor's vectors are.
 typedef float Taps __attribute__((vector_size(4 * kInterpolationStride)));
 static_assert(kInterpolationStride == 8, "two halves");
 static_assert(kLanes <= kPatchRoom, "whole vectors are read and written");
 
-inline float sum_of(Vector v) {
-  float sum = 0;
-  for (int i = 0; i < kLanes; ++i) sum += v[i];
-  return sum;
-}
-
 void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* written, std::ptrdiff_t stride, int width,
            int height) {
-  typedef unsigned char Bytes __attribute__((vector_size(kLanes)));
+  typedef unsigned char Pixels __attribute__((vector_size(kLanes)));
   typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes)));
   for (int y = 0; y < height; ++y) {
     const unsigned char* from = bytes + y * byte_stride;
@@ -32,8 +24,7 @@ void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* writte
     // The last vector overlaps the one before: nothing is read beyond the image.
     for (int x = 0; x < width; x += kLanes) {
       const int at = x + kLanes <= width ? x : width - kLanes;
-      Bytes values;
-      std::memcpy(&values, from + at, sizeof values);
+      const Pixels values = load_as<Pixels>(from + at);
       // One size at a time: compilers take wider steps lane by lane.
       const IntVector wide = __builtin_convertvector(__builtin_convertvector(values, Shorts), IntVector);
       store(to + at, __builtin_convertvector(wide, Vector));
@@ -100,18 +91,6 @@ inline FourFloats interpolate(const float* pixels, std::ptrdiff_t stride, const 
   return halves[0] + halves[1];
 }
 
-/// Sums of the lanes of each: adding those of one vector after the other would take most of the time.
-inline FourFloats sums_of(const FourFloats* vectors) {
-#if defined(__SSE3__)
-  return (FourFloats)_mm_hadd_ps(_mm_hadd_ps((__m128)vectors[0], (__m128)vectors[1]),
-                                 _mm_hadd_ps((__m128)vectors[2], (__m128)vectors[3]));
-#else
-  FourFloats sums;
-  for (int i = 0; i < 4; ++i) sums[i] = (vectors[i][0] + vectors[i][1]) + (vectors[i][2] + vectors[i][3]);
-  return sums;
-#endif
-}
-
 void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx, float dy,
                 int count, float* sampled) {
   constexpr int kAtATime = 4;
@@ -122,7 +101,7 @@ void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, 
       const auto at = static_cast<float>(i + (j < left ? j : 0));
       lanes[j] = interpolate(pixels, stride, table, x + at * dx, y + at * dy);
     }
-    const FourFloats sums = sums_of(lanes);
+    const FourFloats sums = reduce_add_four(lanes);
     std::memcpy(sampled + i, &sums, static_cast<std::size_t>(left) * sizeof(float));
   }
 }
@@ -162,9 +141,9 @@ void compare(const float* patch, std::ptrdiff_t patch_stride, float offset, cons
       second += value * value;
     }
   }
-  sums[0] = sum_of(first);
-  sums[1] = sum_of(product);
-  sums[2] = sum_of(second);
+  sums[0] = reduce_add(first);
+  sums[1] = reduce_add(product);
+  sums[2] = reduce_add(second);
 }
 
 void combine(const float* a, std::ptrdiff_t a_stride, float scale_a, const float* b, std::ptrdiff_t b_stride,
@@ -190,9 +169,9 @@ void project(const float* patch, std::ptrdiff_t patch_stride, const float* const
       third += value * load(factors[2] + at);
     }
   }
-  sums[0] = sum_of(first);
-  sums[1] = sum_of(second);
-  sums[2] = sum_of(third);
+  sums[0] = reduce_add(first);
+  sums[1] = reduce_add(second);
+  sums[2] = reduce_add(third);
 }
 
 void multiply_by_derivatives(const float* ax, const float* ay, std::ptrdiff_t stride, const float* patch,
@@ -212,9 +191,9 @@ void multiply_by_derivatives(const float* ax, const float* ay, std::ptrdiff_t st
       yy += first_y * second_y;
     }
   }
-  sums[0] = sum_of(xx);
-  sums[1] = sum_of(xy);
-  sums[2] = sum_of(yy);
+  sums[0] = reduce_add(xx);
+  sums[1] = reduce_add(xy);
+  sums[2] = reduce_add(yy);
 }
 
 void multiply_gradients(const float* ax, const float* ay, const float* bx, const float* by, std::ptrdiff_t stride,
@@ -229,9 +208,9 @@ void multiply_gradients(const float* ax, const float* ay, const float* bx, const
       yy += first_y * second_y;
     }
   }
-  sums[0] = sum_of(xx);
-  sums[1] = sum_of(xy);
-  sums[2] = sum_of(yy);
+  sums[0] = reduce_add(xx);
+  sums[1] = reduce_add(xy);
+  sums[2] = reduce_add(yy);
 }
 
 }  // namespace
@@ -248,5 +227,4 @@ const AlignmentSimd kAlignmentSimd = {GYRO_DEBLUR_ISA_NAME,
                                       multiply_by_derivatives,
                                       multiply_gradients};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

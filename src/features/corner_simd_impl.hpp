@@ -2,8 +2,7 @@
 #include "base/vectors_impl.hpp"
 #include "features/corner_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
 static_assert(2 * kLanes <= kCornerRoom, "whole vectors are read and written, and a pixel beyond");
@@ -19,9 +18,7 @@ void downsample2x(const unsigned char* upper, const unsigned char* lower, float*
   // The last vector overlaps the one before: nothing is read beyond the rows.
   for (int x = 0; x < width; x += kLanes) {
     const int at = x + kLanes <= width ? x : width - kLanes;
-    Pairs above, below;
-    std::memcpy(&above, upper + 2 * at, sizeof above);
-    std::memcpy(&below, lower + 2 * at, sizeof below);
+    const Pairs above = load_as<Pairs>(upper + 2 * at), below = load_as<Pairs>(lower + 2 * at);
     const Pairs sums = (above & 255) + (above >> 8) + (below & 255) + (below >> 8);
     // One size at a time: compilers take wider steps lane by lane.
     store(half + at, 0.25f * __builtin_convertvector(__builtin_convertvector(sums, IntVector), Vector));
@@ -78,5 +75,4 @@ int find_peaks(const float* above, const float* middle, const float* below, int 
 extern const CornerSimd kCornerSimd;
 const CornerSimd kCornerSimd = {GYRO_DEBLUR_ISA_NAME, downsample2x, multiply, rate, find_peaks};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

@@ -2,34 +2,8 @@
 #include "base/vectors_impl.hpp"
 #include "inverse/tap_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
-
-/// Elements of a window by their index.
-#if defined(__AVX512F__)
-inline Vector pick(const float* window, IntVector index) {
-  return (Vector)_mm512_permutex2var_ps((__m512)load(window), (__m512i)index, (__m512)load(window + kLanes));
-}
-#elif defined(__AVX2__)
-inline Vector pick(const float* window, IntVector index) {
-  const __m256 low = _mm256_permutevar8x32_ps((__m256)load(window), (__m256i)index);
-  const __m256 high = _mm256_permutevar8x32_ps((__m256)load(window + kLanes), (__m256i)index);
-  return (Vector)_mm256_blendv_ps(low, high, (__m256)(index << 28));  // by bit 3
-}
-#elif defined(__aarch64__)
-inline Vector pick(const float* window, IntVector index) {
-  const std::uint8_t* bytes = (const std::uint8_t*)window;
-  const uint8x16x3_t all = {{vld1q_u8(bytes), vld1q_u8(bytes + 16), vld1q_u8(bytes + 32)}};
-  return (Vector)vqtbl3q_u8(all, (uint8x16_t)(index * 0x04040404 + 0x03020100));
-}
-#else
-inline Vector pick(const float* window, IntVector index) {
-  Vector v;
-  for (int i = 0; i < kLanes; ++i) v[i] = window[index[i]];
-  return v;
-}
-#endif
 
 void resample_kernel(const float* taps, int radius, double step, int steps, float* on_axis) {
   // kLanes steps lie between at most 1.5 times as many taps, and the outermost see one more before and two behind.
@@ -77,21 +51,6 @@ void combine_columns(const float* columns, const float* factors, int count, floa
   }
 }
 
-constexpr int kDoubleLanes = GYRO_DEBLUR_VECTOR_BYTES / 8;
-typedef double DoubleVector __attribute__((vector_size(GYRO_DEBLUR_VECTOR_BYTES)));
-
-inline DoubleVector load(const double* from) {
-  DoubleVector v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-inline void store(double* to, DoubleVector v) { std::memcpy(to, &v, sizeof v); }
-inline double sum_of(DoubleVector v) {
-  double sum = 0;
-  for (int i = 0; i < kDoubleLanes; ++i) sum += v[i];
-  return sum;
-}
-
 // The forward vector solves the leading m equations for an error in the first, the backward vector, the same
 // reversed, for one in the last. The backward vector begins an element earlier each time, so that all are contiguous.
 // Behind their ends all are 0, as far as whole vectors reach.
@@ -121,10 +80,10 @@ void solve_toeplitz(const double* lags, int band, int n, const double* sides, do
         in_y[v] += lag * load(y + from + at);
       }
     }
-    const double reflection = -sum_of(in_forward[0] + in_forward[1]) / error;
+    const double reflection = -reduce_add(in_forward[0] + in_forward[1]) / error;
     error *= 1 - reflection * reflection;
-    const double add_to_x = (sides[m] - sum_of(in_x[0] + in_x[1])) / error;
-    const double add_to_y = (sides[n + m] - sum_of(in_y[0] + in_y[1])) / error;
+    const double add_to_x = (sides[m] - reduce_add(in_x[0] + in_x[1])) / error;
+    const double add_to_y = (sides[n + m] - reduce_add(in_y[0] + in_y[1])) / error;
     double* shifted = backward + n - 1 - m;
     for (int i = 0; i <= m; i += kDoubleLanes) {
       const DoubleVector ahead = load(forward + i), behind = load(shifted + i);
@@ -144,5 +103,4 @@ void solve_toeplitz(const double* lags, int band, int n, const double* sides, do
 extern const TapSimd kTapSimd;
 const TapSimd kTapSimd = {GYRO_DEBLUR_ISA_NAME, resample_kernel, combine_columns, solve_toeplitz};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

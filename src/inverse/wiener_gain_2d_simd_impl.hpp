@@ -2,28 +2,8 @@
 #include "base/vectors_impl.hpp"
 #include "inverse/wiener_gain_2d_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
-
-/// 1 / v to 2^-14 at least; anything where v is 0.
-inline Vector reciprocal(Vector v) {
-#if defined(__AVX512F__)
-  return (Vector)_mm512_rcp14_ps((__m512)v);
-#elif defined(__AVX__)
-  const Vector guess = (Vector)_mm256_rcp_ps((__m256)v);
-  return guess * (2 - v * guess);
-#elif defined(__SSE__)
-  const Vector guess = (Vector)_mm_rcp_ps((__m128)v);
-  return guess * (2 - v * guess);
-#elif defined(__aarch64__)
-  float32x4_t guess = vrecpeq_f32((float32x4_t)v);  // 8 bits, which every step doubles
-  guess = vmulq_f32(guess, vrecpsq_f32((float32x4_t)v, guess));
-  return (Vector)vmulq_f32(guess, vrecpsq_f32((float32x4_t)v, guess));
-#else
-  return 1 / v;
-#endif
-}
 
 // Between two places p and q that a point runs through evenly, the mean of exp(-2 pi i f x) is
 //   (exp(-2 pi i f q) - exp(-2 pi i f p)) i / 2t,   t = pi f (q - p).
@@ -83,5 +63,4 @@ void gain_of_rows(const WienerGain2dTables& tables, int first_row, bool blurs_ag
 extern const WienerGain2dSimd kWienerGain2dSimd;
 const WienerGain2dSimd kWienerGain2dSimd = {GYRO_DEBLUR_ISA_NAME, gain_of_rows};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

@@ -2,8 +2,7 @@
 #include "engine/cpu/exact_taps_impl.hpp"
 #include "engine/cpu/two_scale_impl.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 
 extern const BlockSimd kBlockSimd;
 const BlockSimd kBlockSimd = {GYRO_DEBLUR_ISA_NAME,
@@ -16,5 +15,4 @@ const BlockSimd kBlockSimd = {GYRO_DEBLUR_ISA_NAME,
                               two_scale<std::uint8_t>,
                               two_scale<std::uint16_t>};
 
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

@@ -1,17 +1,12 @@
 // Inner loops of exact taps, once per instruction set (see base/vectors_impl.hpp).
 #pragma once
 
-#include "engine/cpu/pixel_vectors_impl.hpp"
+#include "base/vectors_impl.hpp"
+#include "engine/cpu/block_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
 
-#if defined(__AVX512F__) || defined(__aarch64__)
-constexpr int kRegisters = 32;
-#else
-constexpr int kRegisters = 16;
-#endif
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
 constexpr int kExactRows = kRegisters == 32 ? 4 : 2;
 constexpr int kExactVectors = kRegisters == 32 ? 3 : 2;
@@ -59,41 +54,6 @@ inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filte
   }
 }
 
-/// Copies `columns` columns, whole cache lines, of a tile's neighbourhood, which may reach beyond the image, to rows of
-/// `stride` bytes. Masked where it does: with long taps that is every third tile of a small image.
-inline void copy_neighbourhood(const SourcePlane<std::uint8_t>& source, const ExactLayout& layout, int columns,
-                               std::uint8_t* to, int stride) {
-  const int n = layout.first_n;
-  const auto row_at = [&](int r) { return source.origin + clamp_to(layout.first_m + r, source.rows) * source.stride; };
-#if defined(__AVX512BW__)
-  const auto bits_below = [](int end) { return end <= 0 ? 0 : end >= 64 ? ~0ull : (1ull << end) - 1; };
-  for (int i = 0; i < columns; i += 64) {
-    const __mmask64 before = bits_below(-n - i), inside = bits_below(source.cols - n - i) & ~before;
-    if (inside == ~0ull) {
-      for (int r = 0; r < layout.rows; ++r) {
-        _mm512_storeu_si512(to + r * stride + i, _mm512_loadu_si512(row_at(r) + n + i));
-      }
-      continue;
-    }
-    const int last = source.cols - 1;
-    for (int r = 0; r < layout.rows; ++r) {
-      const std::uint8_t* row = row_at(r);
-      const __m512i edges = _mm512_mask_set1_epi8(_mm512_set1_epi8((char)row[last]), before, (char)row[0]);
-      _mm512_storeu_si512(to + r * stride + i, _mm512_mask_loadu_epi8(edges, inside, row + n + i));
-    }
-  }
-#else
-  const int before = n >= 0 ? 0 : (-n < columns ? -n : columns), end = source.cols - n;
-  const int inside = (end < before ? before : (end < columns ? end : columns)) - before;
-  for (int r = 0; r < layout.rows; ++r, to += stride) {
-    const std::uint8_t* row = row_at(r);
-    if (before > 0) std::memset(to, row[0], before);
-    std::memcpy(to + before, row + n + before, inside);
-    if (before + inside < columns) std::memset(to + before + inside, row[source.cols - 1], columns - before - inside);
-  }
-#endif
-}
-
 /// Columns of a neighbourhood: a pair begins in the last one.
 inline int pair_columns(const ExactLayout& layout) { return round_up(layout.width + 1, kCacheLineBytes); }
 
@@ -104,35 +64,13 @@ TileNeeds exact_needs(const TileGeometry& tile, const ExactFilter& filter) {
   return {pixels * (sizeof(std::int32_t) + 1) / sizeof(float), 0};
 }
 
-#if defined(__aarch64__)
-
-// NEON multiplies four pixels of 16 bits by a weight, and adds, in one instruction: a pair is its first pixel, and the
-// second one is in the next.
-using Pair = std::int16_t;
-inline Pair pair_at(const std::uint8_t* from) { return from[0]; }
-inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
-  const auto low = static_cast<std::int16_t>(weights), high = static_cast<std::int16_t>(weights >> 16);
-  const int32x4_t first = vmlal_n_s16((int32x4_t)acc, vld1_s16(from), low);
-  return (IntVector)vmlal_n_s16(first, vld1_s16(from + 1), high);
-}
-
-#else
-
-using Pair = std::int32_t;
-inline Pair pair_at(const std::uint8_t* from) { return from[0] | (from[1] << 16); }
-inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
-  return multiply_pairs(acc, load(from), IntVector{} + weights);
-}
-
-#endif
-
 void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
                     float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
   const int columns = pair_columns(layout);
   Pair* pairs = reinterpret_cast<Pair*>(scratch);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(pairs + layout.rows * layout.width);
-  copy_neighbourhood(source, layout, columns, bytes, columns);
+  copy_extended(source, layout, columns, bytes, columns);
   for (int r = 0; r < layout.rows; ++r) {
     const std::uint8_t* from = bytes + r * columns;
     Pair* to = pairs + r * layout.width;
@@ -156,46 +94,12 @@ void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   });
 }
 
-#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__) || defined(__aarch64__) && defined(__ARM_FEATURE_DOTPROD)
+#if defined(GYRO_DEBLUR_HAS_BYTE_PRODUCTS)
+
+constexpr bool kHasByteWeights = true;
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
 // side for kLanes outputs by one permutation, and multiplied by one dot product with weights in bytes.
-constexpr bool kHasByteWeights = true;
-
-#if defined(__ARM_FEATURE_DOTPROD)
-
-using Bytes = uint8x16_t;
-constexpr int kPixelOffset = 128;  // SDOT takes signed bytes: pixels less this
-
-inline Bytes load_bytes(const std::uint8_t* from) { return vld1q_u8(from); }
-/// Of two vectors, i, i + 1 of the first and i, i + 1 of the second, for i from `begin` on.
-inline Bytes side_by_side(int begin) {
-  const IntVector counting = {0, 1, 2, 3};
-  return (Bytes)((counting + begin) * 0x01010101 + 0x11100100);
-}
-inline IntVector add_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
-  const uint8x16x2_t both = {{first, second}};
-  return (IntVector)vdotq_s32((int32x4_t)acc, (int8x16_t)vqtbl2q_u8(both, order), (int8x16_t)vdupq_n_s32(weights));
-}
-
-#else
-
-using Bytes = __m512i;
-constexpr int kPixelOffset = 0;
-
-inline Bytes load_bytes(const std::uint8_t* from) { return _mm512_loadu_si512(from); }
-/// Of two vectors, i, i + 1 of the first and i, i + 1 of the second, for i from `begin` on.
-inline Bytes side_by_side(int begin) {
-  const IntVector counting = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  return (Bytes)((counting + begin) * 0x01010101 + 0x41400100);
-}
-inline IntVector add_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
-  return (IntVector)_mm512_dpbusd_epi32((__m512i)acc, _mm512_permutex2var_epi8(first, order, second),
-                                        _mm512_set1_epi32(weights));
-}
-
-#endif
-
 struct Quad {
   int lower, upper;      // places of the first byte of either step in the neighbourhood, relative to the output
   std::int32_t weights;  // a byte each
@@ -214,10 +118,10 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   const ExactLayout layout(tile, filter);
   const int stride = quad_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
-  copy_neighbourhood(source, layout, quad_columns(layout), bytes, stride);
-  if (kPixelOffset != 0) {
+  copy_extended(source, layout, quad_columns(layout), bytes, stride);
+  if (kByteOffset != 0) {
     for (int r = 0; r < layout.rows; ++r) {
-      for (int i = 0; i < quad_columns(layout); ++i) bytes[r * stride + i] ^= kPixelOffset;
+      for (int i = 0; i < quad_columns(layout); ++i) bytes[r * stride + i] ^= kByteOffset;
     }
   }
 
@@ -238,7 +142,7 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
       w[3] = upper.weights >> 16;
     }
     quad.weights = pack_bytes(w[0], w[1], w[2], w[3]);
-    of_offset += kPixelOffset * (w[0] + w[1] + w[2] + w[3]);
+    of_offset += kByteOffset * (w[0] + w[1] + w[2] + w[3]);
     list[count++] = quad;
   }
 
@@ -257,7 +161,7 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
       for (int row = 0; row < kExactRows; ++row, lower += stride, upper += stride) {
         const Bytes first = load_bytes(lower), second = load_bytes(upper);
         for (int v = 0; v < kVectors; ++v) {
-          acc[row][v] = add_products(acc[row][v], first, second, order[v], list[q].weights);
+          acc[row][v] = add_byte_products(acc[row][v], first, second, order[v], list[q].weights);
         }
       }
     }
@@ -280,5 +184,4 @@ void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile,
 }
 
 }  // namespace
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

@@ -7,52 +7,13 @@
 
 #include "base/parallel.hpp"
 
-#if defined(__SSE2__)
-#include <emmintrin.h>
-#elif defined(__aarch64__)
-#include <arm_neon.h>
-#endif
+// The operations of the baseline: this file is compiled once.
+#define GYRO_DEBLUR_ISA baseline
+#define GYRO_DEBLUR_VECTOR_BYTES 16
+#include "base/vectors_impl.hpp"
 
 namespace gyro_deblur {
 namespace {
-
-/// Transposes 8x8 bytes.
-void transpose_8x8(const std::uint8_t* from, std::ptrdiff_t from_stride, std::uint8_t* to, std::ptrdiff_t to_stride) {
-#if defined(__SSE2__)
-  const auto pair = [&](int row) {
-    return _mm_unpacklo_epi8(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from + row * from_stride)),
-                             _mm_loadl_epi64(reinterpret_cast<const __m128i*>(from + (row + 1) * from_stride)));
-  };
-  const __m128i a = pair(0), b = pair(2), c = pair(4), d = pair(6);
-  const __m128i ab_low = _mm_unpacklo_epi16(a, b), ab_high = _mm_unpackhi_epi16(a, b);
-  const __m128i cd_low = _mm_unpacklo_epi16(c, d), cd_high = _mm_unpackhi_epi16(c, d);
-  const __m128i columns[] = {_mm_unpacklo_epi32(ab_low, cd_low), _mm_unpackhi_epi32(ab_low, cd_low),
-                             _mm_unpacklo_epi32(ab_high, cd_high), _mm_unpackhi_epi32(ab_high, cd_high)};
-  for (int i = 0; i < 4; ++i) {
-    _mm_storel_epi64(reinterpret_cast<__m128i*>(to + 2 * i * to_stride), columns[i]);
-    _mm_storel_epi64(reinterpret_cast<__m128i*>(to + (2 * i + 1) * to_stride), _mm_srli_si128(columns[i], 8));
-  }
-#elif defined(__aarch64__)
-  const auto pair = [&](int row) {
-    return vreinterpretq_u16_u8(vzip1q_u8(vcombine_u8(vld1_u8(from + row * from_stride), vdup_n_u8(0)),
-                                          vcombine_u8(vld1_u8(from + (row + 1) * from_stride), vdup_n_u8(0))));
-  };
-  const uint16x8_t a = pair(0), b = pair(2), c = pair(4), d = pair(6);
-  const uint32x4_t ab_low = vreinterpretq_u32_u16(vzip1q_u16(a, b)), ab_high = vreinterpretq_u32_u16(vzip2q_u16(a, b));
-  const uint32x4_t cd_low = vreinterpretq_u32_u16(vzip1q_u16(c, d)), cd_high = vreinterpretq_u32_u16(vzip2q_u16(c, d));
-  const uint32x4_t columns[] = {vzip1q_u32(ab_low, cd_low), vzip2q_u32(ab_low, cd_low), vzip1q_u32(ab_high, cd_high),
-                                vzip2q_u32(ab_high, cd_high)};
-  for (int i = 0; i < 4; ++i) {
-    const uint8x16_t both = vreinterpretq_u8_u32(columns[i]);
-    vst1_u8(to + 2 * i * to_stride, vget_low_u8(both));
-    vst1_u8(to + (2 * i + 1) * to_stride, vget_high_u8(both));
-  }
-#else
-  for (int y = 0; y < 8; ++y) {
-    for (int x = 0; x < 8; ++x) to[x * to_stride + y] = from[y * from_stride + x];
-  }
-#endif
-}
 
 /// to(x, y) = from(y, x) for rows x cols pixels of `from`.
 template <typename Pixel>
@@ -67,8 +28,8 @@ void transpose(const Pixel* from, std::ptrdiff_t from_stride, int rows, int cols
       __builtin_prefetch(from + i * from_stride + cols - 1);
     }
     for (int x = 0; x < whole_cols; x += 8) {
-      transpose_8x8(reinterpret_cast<const std::uint8_t*>(from + y * from_stride + x), from_stride,
-                    reinterpret_cast<std::uint8_t*>(to + x * to_stride + y), to_stride);
+      baseline::transpose_bytes(reinterpret_cast<const std::uint8_t*>(from + y * from_stride + x), from_stride,
+                                reinterpret_cast<std::uint8_t*>(to + x * to_stride + y), to_stride);
     }
   }
   for (int y = 0; y < rows; ++y) {

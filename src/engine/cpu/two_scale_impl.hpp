@@ -1,11 +1,16 @@
 // Inner loops of two scales, once per instruction set (see base/vectors_impl.hpp).
 #pragma once
 
-#include "engine/cpu/pixel_vectors_impl.hpp"
+#include "base/vectors_impl.hpp"
+#include "engine/cpu/block_simd.hpp"
 
-namespace gyro_deblur {
-namespace GYRO_DEBLUR_ISA {
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
 namespace {
+
+constexpr int floor_to_int(double x) {
+  const int i = static_cast<int>(x);
+  return x < i ? i - 1 : i;
+}
 
 /// Where row m has `count` pixels from column n on, count <= source.pad.
 template <typename Pixel>
@@ -53,60 +58,6 @@ struct ColumnFormat {
     store(group + part * kLanes + kGroup / 2, values[1]);
   }
 };
-
-#if defined(__AVX2__)
-
-/// 8-bit pixels: samples in int16, 1 / 32 grey level, so that one instruction interpolates 16 columns. It takes pixels
-/// in pairs, n with n + 1, so that a vector has every other column: a group is its 16 even and then its 16 odd columns.
-/// Results in order, in 1 / 16 grey level.
-template <>
-struct ColumnFormat<std::uint8_t> {
-  using Sample = std::int16_t;
-  using Result = std::int16_t;
-  static constexpr int kGroup = 32;
-  static constexpr float kSampleScale = 32, kResultScale = 16;
-  // Sums of so many samples fit uint16.
-  static constexpr int kSummands = 8;
-
-  static Vector load_sample(const std::int16_t* from) {
-    return load_pixels(reinterpret_cast<const std::uint16_t*>(from));
-  }
-  static Vector sum_samples(const std::int16_t* from, int rows, int stride) {
-    typedef std::uint16_t Words __attribute__((vector_size(2 * kLanes)));
-    Vector sum = {};
-    while (rows > 0) {
-      Words words = {};
-      const int count = rows < kSummands ? rows : kSummands;
-      for (int i = 0; i < count; ++i, from += stride) {
-        Words row;
-        std::memcpy(&row, from, sizeof row);
-        words += row;
-      }
-      std::int16_t stored[kLanes];
-      std::memcpy(stored, &words, sizeof words);
-      sum += load_sample(stored);
-      rows -= count;
-    }
-    return sum;
-  }
-  static void store_results(std::int16_t* group, int part, const Vector values[2]) {
-    // Saturated to int16, and even and odd columns put side by side.
-#if defined(__AVX512F__)
-    const __m512i order = _mm512_broadcast_i32x4(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
-    const __m512i packed =
-        _mm512_packs_epi32(_mm512_cvtps_epi32((__m512)values[0]), _mm512_cvtps_epi32((__m512)values[1]));
-    _mm512_storeu_si512(group + part * 2 * kLanes, _mm512_shuffle_epi8(packed, order));
-#else
-    const __m256i order =
-        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
-    const __m256i packed =
-        _mm256_packs_epi32(_mm256_cvtps_epi32((__m256)values[0]), _mm256_cvtps_epi32((__m256)values[1]));
-    _mm256_storeu_si256((__m256i*)(group + part * 2 * kLanes), _mm256_shuffle_epi8(packed, order));
-#endif
-  }
-};
-
-#endif
 
 struct Range {
   int begin, end;
@@ -257,107 +208,6 @@ inline void shear(const SourcePlane<Pixel>& source, const TileGeometry& tile, co
   }
 }
 
-#if defined(__AVX2__)
-
-/// Adds samples [begin, end) of kGroups groups of columns to `sum`, and keeps them at `kept` when kKeep.
-template <int kGroups, bool kKeep>
-inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end,
-                        int column, int columns, __m256i sum[][2], std::int16_t* kept) {
-  for (int i = begin; i < end; ++i) {
-    const std::uint8_t* from = rows.pixels[i] + column;
-    const __m256i weight = _mm256_set1_epi32(weights[i]);
-    for (int g = 0; g < kGroups; ++g) {
-      for (int odd = 0; odd < 2; ++odd) {
-        const __m256i pixels = _mm256_loadu_si256((const __m256i*)(from + g * 32 + odd));
-        const __m256i sample = _mm256_maddubs_epi16(pixels, weight);
-        sum[g][odd] = _mm256_add_epi16(sum[g][odd], sample);
-        if (kKeep) {
-          _mm256_storeu_si256((__m256i*)(kept + (i - rows.keep_begin) * columns + column + g * 32 + odd * 16), sample);
-        }
-      }
-    }
-  }
-}
-
-/// Stores 16 sums over each of two nodes as pairs, less 2^15 so that they are signed.
-inline void store_node_pairs(std::int32_t* to, __m256i first, __m256i second) {
-  const __m256i sign = _mm256_set1_epi16(static_cast<short>(-32768));
-  // In such an order that unpacking, which works within halves, leaves the columns in theirs.
-  first = _mm256_permute4x64_epi64(_mm256_xor_si256(first, sign), 0xD8);
-  second = _mm256_permute4x64_epi64(_mm256_xor_si256(second, sign), 0xD8);
-  _mm256_storeu_si256((__m256i*)to, _mm256_unpacklo_epi16(first, second));
-  _mm256_storeu_si256((__m256i*)(to + 8), _mm256_unpackhi_epi16(first, second));
-}
-
-/// Halvings that make the sum of a node fit 16 bits: one of more samples than fit is summed in parts of as many as do.
-inline int node_shift(const TwoScaleFilter& filter) {
-  int shift = 0;
-  while (filter.decimation > ColumnFormat<std::uint8_t>::kSummands << shift) ++shift;
-  return shift;
-}
-
-template <int kGroups>
-inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, const TileGeometry& tile,
-                         const TwoScaleFilter& filter, const TwoScaleLayout& layout, int column, std::int32_t* nodes,
-                         std::int16_t* kept) {
-  using Format = ColumnFormat<std::uint8_t>;
-  const int d = filter.decimation, columns = layout.columns;
-  const int shift = node_shift(filter);
-  const __m256i half = _mm256_set1_epi16(static_cast<short>(shift > 0 ? 1 << (shift - 1) : 0));
-  __m256i before[kGroups][2] = {};  // the node before an odd one
-  const Range outputs = layout.coarse_of_rows(layout.rows_of_columns(tile, column, kGroups * Format::kGroup), d);
-  for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
-    __m256i node[kGroups][2];
-    for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = _mm256_setzero_si256();
-    for (int begin = j * d; begin < (j + 1) * d; begin += Format::kSummands) {
-      const int end = begin + Format::kSummands < (j + 1) * d ? begin + Format::kSummands : (j + 1) * d;
-      const Range kept_part = rows.kept_within(begin, end);
-      __m256i sum[kGroups][2];
-      for (int g = 0; g < kGroups; ++g) sum[g][0] = sum[g][1] = _mm256_setzero_si256();
-      sum_samples<kGroups, false>(rows, weights, begin, kept_part.begin, column, columns, sum, kept);
-      sum_samples<kGroups, true>(rows, weights, kept_part.begin, kept_part.end, column, columns, sum, kept);
-      sum_samples<kGroups, false>(rows, weights, kept_part.end, end, column, columns, sum, kept);
-      for (int g = 0; g < kGroups; ++g) {
-        for (int odd = 0; odd < 2; ++odd) {
-          const __m256i part = _mm256_srli_epi16(_mm256_add_epi16(sum[g][odd], half), shift);
-          node[g][odd] = _mm256_add_epi16(node[g][odd], part);
-        }
-      }
-    }
-    for (int g = 0; g < kGroups; ++g) {
-      for (int odd = 0; odd < 2; ++odd) {
-        if (j % 2 == 0) {
-          before[g][odd] = node[g][odd];
-        } else {
-          store_node_pairs(nodes + j / 2 * columns + column + g * 32 + odd * 16, before[g][odd], node[g][odd]);
-        }
-      }
-    }
-  }
-}
-
-inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
-                  const TwoScaleLayout& layout, float* scratch, std::int16_t* kept) {
-  const SampleRows<std::uint8_t> rows(source, tile, filter, layout, scratch);
-  // Weights of a pixel and the next in the low and high byte of either half, in place of the parts.
-  std::int32_t* weights = reinterpret_cast<std::int32_t*>(scratch + layout.parts_at);
-  const int samples = layout.nodes * filter.decimation;
-  constexpr int kScale = static_cast<int>(ColumnFormat<std::uint8_t>::kSampleScale);
-  for (int i = 0; i < samples; ++i) {
-    const int above = static_cast<int>((rows.parts[i] * std::uint64_t{kScale} + (std::uint64_t{1} << 31)) >> 32);
-    weights[i] = ((kScale - above) | above << 8) * 0x10001;
-  }
-  std::int32_t* nodes = reinterpret_cast<std::int32_t*>(scratch + layout.nodes_at);
-  int column = 0;
-  for (; column + 64 <= layout.columns; column += 64) {
-    shear_groups<2>(rows, weights, tile, filter, layout, column, nodes, kept);
-  }
-  for (; column < layout.columns; column += 32)
-    shear_groups<1>(rows, weights, tile, filter, layout, column, nodes, kept);
-}
-
-#endif
-
 /// Calls filter_at(j, column) for all coarse outputs that are needed: kCoarseOutputs from j on, kColumnVectors vectors
 /// from `column` on.
 template <typename Format, typename FilterAt>
@@ -393,40 +243,6 @@ inline void filter_coarse(const TileGeometry& tile, const TwoScaleFilter& filter
     }
   });
 }
-
-#if defined(__AVX2__)
-
-template <>
-inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScaleFilter& filter,
-                                        const TwoScaleLayout& layout, float* scratch) {
-  using Format = ColumnFormat<std::uint8_t>;
-  static_assert(kCoarseOutputs == 4 && kCoarseGuard == 3, "outputs 0 .. 3 take the pairs of weights below");
-  const int columns = layout.columns, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
-  const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
-                     static_cast<float>(1 << filter.coarse_shift);
-  const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
-  const std::int32_t* nodes = reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at);
-  const std::int32_t *even = filter.coarse_even, *odd = filter.coarse_odd;
-  for_coarse_outputs<Format>(tile, filter, layout, [&](int j, int column) {
-    IntVector acc[kCoarseOutputs][kColumnVectors] = {};
-    const std::int32_t* from = nodes + j / 2 * columns + column;
-    for (int p = 0; p < pairs; ++p, from += columns) {
-      const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
-      for (int v = 0; v < kColumnVectors; ++v) {
-        const IntVector node = load(from + v * kLanes);
-        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
-      }
-    }
-    float* to = scratch + layout.coarse_at + j * columns + column;
-    for (int o = 0; o < kCoarseOutputs; ++o) {
-      for (int v = 0; v < kColumnVectors; ++v) {
-        store(to + o * columns + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
-      }
-    }
-  });
-}
-
-#endif
 
 /// Adds boxes and smooth part up for every output row, on the columns.
 template <typename Format>
@@ -494,7 +310,155 @@ inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, cons
   }
 }
 
-#if defined(__AVX2__)
+#if defined(GYRO_DEBLUR_HAS_WORD_VECTORS)
+
+/// 8-bit pixels: samples in int16, 1 / 32 grey level, so that one instruction interpolates 16 columns. It takes pixels
+/// in pairs, n with n + 1, so that a vector has every other column: a group is its 16 even and then its 16 odd columns.
+/// Results in order, in 1 / 16 grey level.
+template <>
+struct ColumnFormat<std::uint8_t> {
+  using Sample = std::int16_t;
+  using Result = std::int16_t;
+  static constexpr int kGroup = 32;
+  static constexpr float kSampleScale = 32, kResultScale = 16;
+  // Sums of so many samples fit uint16.
+  static constexpr int kSummands = 8;
+
+  static Vector load_sample(const std::int16_t* from) {
+    return load_pixels(reinterpret_cast<const std::uint16_t*>(from));
+  }
+  static Vector sum_samples(const std::int16_t* from, int rows, int stride) {
+    typedef std::uint16_t Words __attribute__((vector_size(2 * kLanes)));
+    Vector sum = {};
+    while (rows > 0) {
+      Words words = {};
+      const int count = rows < kSummands ? rows : kSummands;
+      for (int i = 0; i < count; ++i, from += stride) words += load_as<Words>(from);
+      std::int16_t stored[kLanes];
+      std::memcpy(stored, &words, sizeof words);
+      sum += load_sample(stored);
+      rows -= count;
+    }
+    return sum;
+  }
+  static void store_results(std::int16_t* group, int part, const Vector values[2]) {
+    store_interleaved(group + part * 2 * kLanes, values[0], values[1]);
+  }
+};
+
+/// Adds samples [begin, end) of kGroups groups of columns to `sum`, and keeps them at `kept` when kKeep.
+template <int kGroups, bool kKeep>
+inline void sum_samples(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, int begin, int end,
+                        int column, int columns, WordVector sum[][2], std::int16_t* kept) {
+  for (int i = begin; i < end; ++i) {
+    const std::uint8_t* from = rows.pixels[i] + column;
+    const WordVector weight = repeat_pair(weights[i]);
+    for (int g = 0; g < kGroups; ++g) {
+      for (int odd = 0; odd < 2; ++odd) {
+        const WordVector sample = multiply_bytes(load_words(from + g * 32 + odd), weight);
+        sum[g][odd] = add_words(sum[g][odd], sample);
+        if (kKeep) store_words(kept + (i - rows.keep_begin) * columns + column + g * 32 + odd * 16, sample);
+      }
+    }
+  }
+}
+
+/// Halvings that make the sum of a node fit 16 bits: one of more samples than fit is summed in parts of as many as do.
+inline int node_shift(const TwoScaleFilter& filter) {
+  int shift = 0;
+  while (filter.decimation > ColumnFormat<std::uint8_t>::kSummands << shift) ++shift;
+  return shift;
+}
+
+template <int kGroups>
+inline void shear_groups(const SampleRows<std::uint8_t>& rows, const std::int32_t* weights, const TileGeometry& tile,
+                         const TwoScaleFilter& filter, const TwoScaleLayout& layout, int column, std::int32_t* nodes,
+                         std::int16_t* kept) {
+  using Format = ColumnFormat<std::uint8_t>;
+  const int d = filter.decimation, columns = layout.columns;
+  const int shift = node_shift(filter);
+  const WordVector half = repeat_word(static_cast<std::int16_t>(shift > 0 ? 1 << (shift - 1) : 0));
+  WordVector before[kGroups][2] = {};  // the node before an odd one
+  const Range outputs = layout.coarse_of_rows(layout.rows_of_columns(tile, column, kGroups * Format::kGroup), d);
+  for (int j = outputs.begin; j < outputs.end + 2 * filter.coarse_radius; ++j) {
+    WordVector node[kGroups][2];
+    for (int g = 0; g < kGroups; ++g) node[g][0] = node[g][1] = WordVector{};
+    for (int begin = j * d; begin < (j + 1) * d; begin += Format::kSummands) {
+      const int end = begin + Format::kSummands < (j + 1) * d ? begin + Format::kSummands : (j + 1) * d;
+      const Range kept_part = rows.kept_within(begin, end);
+      WordVector sum[kGroups][2];
+      for (int g = 0; g < kGroups; ++g) sum[g][0] = sum[g][1] = WordVector{};
+      sum_samples<kGroups, false>(rows, weights, begin, kept_part.begin, column, columns, sum, kept);
+      sum_samples<kGroups, true>(rows, weights, kept_part.begin, kept_part.end, column, columns, sum, kept);
+      sum_samples<kGroups, false>(rows, weights, kept_part.end, end, column, columns, sum, kept);
+      for (int g = 0; g < kGroups; ++g) {
+        for (int odd = 0; odd < 2; ++odd) {
+          const WordVector part = shift_words(add_words(sum[g][odd], half), shift);
+          node[g][odd] = add_words(node[g][odd], part);
+        }
+      }
+    }
+    for (int g = 0; g < kGroups; ++g) {
+      for (int odd = 0; odd < 2; ++odd) {
+        if (j % 2 == 0) {
+          before[g][odd] = node[g][odd];
+        } else {
+          store_signed_pairs(nodes + j / 2 * columns + column + g * 32 + odd * 16, before[g][odd], node[g][odd]);
+        }
+      }
+    }
+  }
+}
+
+inline void shear(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const TwoScaleFilter& filter,
+                  const TwoScaleLayout& layout, float* scratch, std::int16_t* kept) {
+  const SampleRows<std::uint8_t> rows(source, tile, filter, layout, scratch);
+  // Weights of a pixel and the next in the low and high byte of either half, in place of the parts.
+  std::int32_t* weights = reinterpret_cast<std::int32_t*>(scratch + layout.parts_at);
+  const int samples = layout.nodes * filter.decimation;
+  constexpr int kScale = static_cast<int>(ColumnFormat<std::uint8_t>::kSampleScale);
+  for (int i = 0; i < samples; ++i) {
+    const int above = static_cast<int>((rows.parts[i] * std::uint64_t{kScale} + (std::uint64_t{1} << 31)) >> 32);
+    weights[i] = ((kScale - above) | above << 8) * 0x10001;
+  }
+  std::int32_t* nodes = reinterpret_cast<std::int32_t*>(scratch + layout.nodes_at);
+  int column = 0;
+  for (; column + 64 <= layout.columns; column += 64) {
+    shear_groups<2>(rows, weights, tile, filter, layout, column, nodes, kept);
+  }
+  for (; column < layout.columns; column += 32)
+    shear_groups<1>(rows, weights, tile, filter, layout, column, nodes, kept);
+}
+
+template <>
+inline void filter_coarse<std::uint8_t>(const TileGeometry& tile, const TwoScaleFilter& filter,
+                                        const TwoScaleLayout& layout, float* scratch) {
+  using Format = ColumnFormat<std::uint8_t>;
+  static_assert(kCoarseOutputs == 4 && kCoarseGuard == 3, "outputs 0 .. 3 take the pairs of weights below");
+  const int columns = layout.columns, pairs = filter.coarse_radius + 2;  // of 2 radius + 1 nodes for each of 4 outputs
+  const float unit = Format::kResultScale / Format::kSampleScale * static_cast<float>(1 << node_shift(filter)) /
+                     static_cast<float>(1 << filter.coarse_shift);
+  const float offset = unit * 32768.0f * static_cast<float>(filter.coarse_sum);
+  const std::int32_t* nodes = reinterpret_cast<const std::int32_t*>(scratch + layout.nodes_at);
+  const std::int32_t *even = filter.coarse_even, *odd = filter.coarse_odd;
+  for_coarse_outputs<Format>(tile, filter, layout, [&](int j, int column) {
+    IntVector acc[kCoarseOutputs][kColumnVectors] = {};
+    const std::int32_t* from = nodes + j / 2 * columns + column;
+    for (int p = 0; p < pairs; ++p, from += columns) {
+      const std::int32_t weights[kCoarseOutputs] = {even[p], odd[p], even[p - 1], odd[p - 1]};
+      for (int v = 0; v < kColumnVectors; ++v) {
+        const IntVector node = load(from + v * kLanes);
+        for (int o = 0; o < kCoarseOutputs; ++o) acc[o][v] = multiply_pairs(acc[o][v], node, IntVector{} + weights[o]);
+      }
+    }
+    float* to = scratch + layout.coarse_at + j * columns + column;
+    for (int o = 0; o < kCoarseOutputs; ++o) {
+      for (int v = 0; v < kColumnVectors; ++v) {
+        store(to + o * columns + v * kLanes, __builtin_convertvector(acc[o][v], Vector) * unit + offset);
+      }
+    }
+  });
+}
 
 /// Weights of the cubic in fixed point, two in one int32, for positions in steps of 1 / kPlaces column: the error, of
 /// at most half a step, is that of an image 1 / 512 px away.
@@ -524,7 +488,7 @@ inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, cons
   constexpr int kShift = CubicTable::kWeightBits + 4;  // results have 4 bits below the grey level
   static_assert(1 << (kShift - CubicTable::kWeightBits) == static_cast<int>(ColumnFormat<std::uint8_t>::kResultScale),
                 "");
-  const __m256i half = _mm256_set1_epi32(1 << (kShift - 1));
+  const WordVector half = repeat_pair(1 << (kShift - 1));
   constexpr int kOneBits = 32;
   const std::int64_t step = static_cast<std::int64_t>(tile.slope * (std::int64_t{1} << kOneBits));
   std::int64_t column = static_cast<std::int64_t>(tile.n_begin - layout.first_column) * (std::int64_t{1} << kOneBits) -
@@ -532,19 +496,14 @@ inline void unshear(const TileGeometry& tile, const TwoScaleLayout& layout, cons
                         (std::int64_t{1} << (kOneBits - CubicTable::kPlaceBits - 1));
   for (int m = 0; m < tile.m_count; ++m, column -= step) {
     const int place = static_cast<int>(column >> (kOneBits - CubicTable::kPlaceBits)) & (CubicTable::kPlaces - 1);
-    const __m256i first = _mm256_set1_epi32(kCubicTable.first[place]);
-    const __m256i second = _mm256_set1_epi32(kCubicTable.second[place]);
+    const WordVector first = repeat_pair(kCubicTable.first[place]);
+    const WordVector second = repeat_pair(kCubicTable.second[place]);
     const std::int16_t* row = result + m * layout.columns + static_cast<int>(column >> kOneBits) - 1;
     for (int n = 0; n < tile.n_count; n += 16) {
-      const auto at = [&](int i) { return _mm256_loadu_si256((const __m256i*)(row + n + i)); };
-      const __m256i even =
-          _mm256_add_epi32(_mm256_add_epi32(_mm256_madd_epi16(at(0), first), half), _mm256_madd_epi16(at(2), second));
-      const __m256i odd =
-          _mm256_add_epi32(_mm256_add_epi32(_mm256_madd_epi16(at(1), first), half), _mm256_madd_epi16(at(3), second));
-      const __m256i pixels =
-          _mm256_blend_epi16(_mm256_srai_epi32(even, kShift), _mm256_srai_epi32(odd, kShift - 16), 0xAA);
-      _mm_storeu_si128((__m128i*)(out + m * kTileStride + n),
-                       _mm_packus_epi16(_mm256_castsi256_si128(pixels), _mm256_extracti128_si256(pixels, 1)));
+      const auto at = [&](int i) { return load_words(row + n + i); };
+      const WordVector even = add_ints(add_ints(multiply_words(at(0), first), half), multiply_words(at(2), second));
+      const WordVector odd = add_ints(add_ints(multiply_words(at(1), first), half), multiply_words(at(3), second));
+      store_interleaved<kShift>(out + m * kTileStride + n, even, odd);
     }
   }
 }
@@ -565,5 +524,4 @@ void two_scale(const SourcePlane<Pixel>& source, const TileGeometry& tile, const
 }
 
 }  // namespace
-}  // namespace GYRO_DEBLUR_ISA
-}  // namespace gyro_deblur
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA

@@ -1,0 +1,221 @@
+// The operations of vectors_generic_impl.hpp with SSE2, AVX2 and AVX-512 (see vectors_impl.hpp).
+#pragma once
+
+#include <immintrin.h>
+
+#include "base/vectors_generic_impl.hpp"
+
+namespace gyro_deblur::GYRO_DEBLUR_ISA {
+namespace {
+
+constexpr int kRegisters = kLanes == 16 ? 32 : 16;
+
+template <typename Pixel>
+inline Vector load_pixels(const Pixel* from) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_cvtepi32_ps(sizeof(Pixel) == 1
+                                        ? _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)from))
+                                        : _mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)from)));
+#elif defined(__AVX2__)
+  return (Vector)_mm256_cvtepi32_ps(sizeof(Pixel) == 1 ? _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from))
+                                                       : _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
+#else
+  return generic::load_pixels(from);
+#endif
+}
+
+#if defined(__AVX512F__)
+template <typename Pixel>
+inline void store_pixels(Pixel* to, Vector v) {
+  const __m512i i = _mm512_cvttps_epi32((__m512)clip_for_truncation<Pixel>(v));
+  if (sizeof(Pixel) == 1) {
+    _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8(i));
+  } else {
+    _mm256_storeu_si256((__m256i*)to, _mm512_cvtepi32_epi16(i));
+  }
+}
+#else
+using generic::store_pixels;
+#endif
+
+/// acc + low * low + high * high of the int16 halves of each lane.
+inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
+#if defined(__AVX512VNNI__)
+  return (IntVector)_mm512_dpwssd_epi32((__m512i)acc, (__m512i)pixels, (__m512i)weights);
+#elif defined(__AVX2__)
+  return acc + (IntVector)_mm256_madd_epi16((__m256i)pixels, (__m256i)weights);
+#else
+  return acc + (IntVector)_mm_madd_epi16((__m128i)pixels, (__m128i)weights);
+#endif
+}
+
+using generic::Pair;
+using generic::pair_at;
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
+  return multiply_pairs(acc, load(from), IntVector{} + weights);
+}
+
+#if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)
+#define GYRO_DEBLUR_HAS_BYTE_PRODUCTS
+using Bytes = __m512i;
+constexpr int kByteOffset = 0;  // pixels are multiplied less this
+inline Bytes load_bytes(const std::uint8_t* from) { return _mm512_loadu_si512(from); }
+/// Of two vectors, i, i + 1 of the first and i, i + 1 of the second, for i from `begin` on.
+inline Bytes side_by_side(int begin) {
+  const IntVector counting = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  return (Bytes)((counting + begin) * 0x01010101 + 0x41400100);
+}
+/// acc + for each lane four pixels of two vectors, picked by `order`, times the signed bytes of `weights`.
+inline IntVector add_byte_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
+  return (IntVector)_mm512_dpbusd_epi32((__m512i)acc, _mm512_permutex2var_epi8(first, order, second),
+                                        _mm512_set1_epi32(weights));
+}
+#endif
+
+inline Vector pick(const float* window, IntVector index) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_permutex2var_ps((__m512)load(window), (__m512i)index, (__m512)load(window + kLanes));
+#elif defined(__AVX2__)
+  const __m256 low = _mm256_permutevar8x32_ps((__m256)load(window), (__m256i)index);
+  const __m256 high = _mm256_permutevar8x32_ps((__m256)load(window + kLanes), (__m256i)index);
+  return (Vector)_mm256_blendv_ps(low, high, (__m256)(index << 28));  // by bit 3
+#else
+  return generic::pick(window, index);
+#endif
+}
+
+inline Vector reciprocal(Vector v) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_rcp14_ps((__m512)v);
+#else
+#if defined(__AVX__)
+  const Vector guess = (Vector)_mm256_rcp_ps((__m256)v);
+#else
+  const Vector guess = (Vector)_mm_rcp_ps((__m128)v);
+#endif
+  return guess * (2 - v * guess);
+#endif
+}
+
+inline FourFloats reduce_add_four(const FourFloats* vectors) {
+#if defined(__SSE3__)
+  return (FourFloats)_mm_hadd_ps(_mm_hadd_ps((__m128)vectors[0], (__m128)vectors[1]),
+                                 _mm_hadd_ps((__m128)vectors[2], (__m128)vectors[3]));
+#else
+  return generic::reduce_add_four(vectors);
+#endif
+}
+
+inline void transpose_floats(const float* from, std::ptrdiff_t from_stride, float* to, std::ptrdiff_t to_stride) {
+  for (int y = 0; y < kLanes; y += 4) {
+    for (int x = 0; x < kLanes; x += 4) {
+      const float* at = from + y * from_stride + x;
+      __m128 a = _mm_load_ps(at), b = _mm_load_ps(at + from_stride), c = _mm_load_ps(at + 2 * from_stride),
+             d = _mm_load_ps(at + 3 * from_stride);
+      _MM_TRANSPOSE4_PS(a, b, c, d);
+      float* put = to + x * to_stride + y;
+      _mm_store_ps(put, a);
+      _mm_store_ps(put + to_stride, b);
+      _mm_store_ps(put + 2 * to_stride, c);
+      _mm_store_ps(put + 3 * to_stride, d);
+    }
+  }
+}
+
+inline void transpose_bytes(const std::uint8_t* from, std::ptrdiff_t from_stride, std::uint8_t* to,
+                            std::ptrdiff_t to_stride) {
+  const auto pair = [&](int row) {
+    return _mm_unpacklo_epi8(_mm_loadl_epi64((const __m128i*)(from + row * from_stride)),
+                             _mm_loadl_epi64((const __m128i*)(from + (row + 1) * from_stride)));
+  };
+  const __m128i a = pair(0), b = pair(2), c = pair(4), d = pair(6);
+  const __m128i ab_low = _mm_unpacklo_epi16(a, b), ab_high = _mm_unpackhi_epi16(a, b);
+  const __m128i cd_low = _mm_unpacklo_epi16(c, d), cd_high = _mm_unpackhi_epi16(c, d);
+  const __m128i columns[] = {_mm_unpacklo_epi32(ab_low, cd_low), _mm_unpackhi_epi32(ab_low, cd_low),
+                             _mm_unpacklo_epi32(ab_high, cd_high), _mm_unpackhi_epi32(ab_high, cd_high)};
+  for (int i = 0; i < 4; ++i) {
+    _mm_storel_epi64((__m128i*)(to + 2 * i * to_stride), columns[i]);
+    _mm_storel_epi64((__m128i*)(to + (2 * i + 1) * to_stride), _mm_srli_si128(columns[i], 8));
+  }
+}
+
+#if defined(__AVX512BW__)
+// Masked at edges: with long taps that is every third tile of a small image.
+template <typename Image, typename Window>
+inline void copy_extended(const Image& image, const Window& window, int columns, std::uint8_t* to, int stride) {
+  const int n = window.first_n;
+  const auto row_at = [&](int r) { return image.origin + clamp_to(window.first_m + r, image.rows) * image.stride; };
+  const auto bits_below = [](int end) { return end <= 0 ? 0 : end >= 64 ? ~0ull : (1ull << end) - 1; };
+  for (int i = 0; i < columns; i += 64) {
+    const __mmask64 before = bits_below(-n - i), inside = bits_below(image.cols - n - i) & ~before;
+    if (inside == ~0ull) {
+      for (int r = 0; r < window.rows; ++r)
+        _mm512_storeu_si512(to + r * stride + i, _mm512_loadu_si512(row_at(r) + n + i));
+      continue;
+    }
+    const int last = image.cols - 1;
+    for (int r = 0; r < window.rows; ++r) {
+      const std::uint8_t* row = row_at(r);
+      const __m512i edges = _mm512_mask_set1_epi8(_mm512_set1_epi8((char)row[last]), before, (char)row[0]);
+      _mm512_storeu_si512(to + r * stride + i, _mm512_mask_loadu_epi8(edges, inside, row + n + i));
+    }
+  }
+}
+#else
+using generic::copy_extended;
+#endif
+
+#if defined(__AVX2__)
+#define GYRO_DEBLUR_HAS_WORD_VECTORS
+using WordVector = __m256i;  // 16 words, or 8 pairs of them as integers
+inline WordVector load_words(const void* from) { return _mm256_loadu_si256((const __m256i*)from); }
+inline void store_words(void* to, WordVector v) { _mm256_storeu_si256((__m256i*)to, v); }
+inline WordVector repeat_word(std::int16_t word) { return _mm256_set1_epi16(word); }
+inline WordVector add_words(WordVector a, WordVector b) { return _mm256_add_epi16(a, b); }
+/// Divides unsigned words by 2^count.
+inline WordVector shift_words(WordVector v, int count) { return _mm256_srli_epi16(v, count); }
+/// low * low + high * high of the bytes of each word; those of `weights` are signed.
+inline WordVector multiply_bytes(WordVector pixels, WordVector weights) {
+  return _mm256_maddubs_epi16(pixels, weights);
+}
+/// Two words, eight times.
+inline WordVector repeat_pair(std::int32_t pair) { return _mm256_set1_epi32(pair); }
+inline WordVector add_ints(WordVector a, WordVector b) { return _mm256_add_epi32(a, b); }
+/// low * low + high * high of the signed words of each pair.
+inline WordVector multiply_words(WordVector a, WordVector b) { return _mm256_madd_epi16(a, b); }
+
+/// Stores the words of `first` and `second` in turn, less 2^15 so that they are signed.
+inline void store_signed_pairs(std::int32_t* to, WordVector first, WordVector second) {
+  const __m256i sign = _mm256_set1_epi16(static_cast<short>(-32768));
+  // In such an order that unpacking, which works within halves, leaves the columns in theirs.
+  first = _mm256_permute4x64_epi64(_mm256_xor_si256(first, sign), 0xD8);
+  second = _mm256_permute4x64_epi64(_mm256_xor_si256(second, sign), 0xD8);
+  _mm256_storeu_si256((__m256i*)to, _mm256_unpacklo_epi16(first, second));
+  _mm256_storeu_si256((__m256i*)(to + 8), _mm256_unpackhi_epi16(first, second));
+}
+
+/// Rounds 2 kLanes values, saturates them to int16, and stores even and odd ones in turn.
+inline void store_interleaved(std::int16_t* to, Vector even, Vector odd) {
+#if defined(__AVX512F__)
+  const __m512i order = _mm512_broadcast_i32x4(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
+  const __m512i packed = _mm512_packs_epi32(_mm512_cvtps_epi32((__m512)even), _mm512_cvtps_epi32((__m512)odd));
+  _mm512_storeu_si512(to, _mm512_shuffle_epi8(packed, order));
+#else
+  const __m256i order =
+      _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15));
+  const __m256i packed = _mm256_packs_epi32(_mm256_cvtps_epi32((__m256)even), _mm256_cvtps_epi32((__m256)odd));
+  _mm256_storeu_si256((__m256i*)to, _mm256_shuffle_epi8(packed, order));
+#endif
+}
+
+/// Divides 16 values by 2^kShift, clips them to bytes, and stores even and odd ones in turn.
+template <int kShift>
+inline void store_interleaved(std::uint8_t* to, WordVector even, WordVector odd) {
+  const __m256i words = _mm256_blend_epi16(_mm256_srai_epi32(even, kShift), _mm256_srai_epi32(odd, kShift - 16), 0xAA);
+  _mm_storeu_si128((__m128i*)to, _mm_packus_epi16(_mm256_castsi256_si128(words), _mm256_extracti128_si256(words, 1)));
+}
+
+#endif
+
+}  // namespace
+}  // namespace gyro_deblur::GYRO_DEBLUR_ISA
