@@ -148,7 +148,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
   // Windows are chosen for the blur that is assumed; where it is another, they are chosen again.
   constexpr int kTries = 3;
   constexpr double kSameWindows = 0.55;
-  constexpr double kMargin = 1.1;
+  constexpr double kMargin = 1.1;  // the limit may be an estimate too
   const double limit_log =
       limit_ns > 0 ? std::log(kMargin * static_cast<double>(limit_ns) / static_cast<double>(field.exposure_ns))
                    : std::numeric_limits<double>::infinity();
@@ -167,8 +167,7 @@ std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const 
     constexpr double kLeastDepth = 0.35;
     if (peak->more_elsewhere < kLeastMore || peak->depth < kLeastDepth) return std::nullopt;
     // Errors that all windows have in common, of the velocity first of all; those of windows that overlap are
-    // correlated. The path of an
-    // assumed exposure that is too long has acceleration that the blur has not.
+    // correlated. The path of an assumed exposure that is too long has acceleration that the blur has not.
     constexpr double kCommon = 0.01, kTooLong = 0.02, kOverlap = 1.4;
     const double ratio = std::exp(log_scale);
     if (ratio < kMinExposureRatio || ratio > kMaxExposureRatio || log_scale > limit_log) return std::nullopt;

@@ -22,7 +22,7 @@ namespace gyro_deblur {
 ///                           doc/reports/exposure.md
 /// @param noise_grey_levels  image_noise() of the luminance where that is known already
 /// @param threads            at most; 0: one for each core
-/// @param limit_ns           no exposure is more than a tenth longer, such as the frame period; 0: not known
+/// @param limit_ns           longest possible exposure (to a tenth), such as the frame period; 0: not known
 /// Throws std::invalid_argument when luminance is not CV_8UC1 of the field's size.
 std::optional<ExposureEstimate> estimate_exposure(const FrameBlur& field, const cv::Mat& luminance,
                                                   std::optional<double> noise_grey_levels = {}, int threads = 0,

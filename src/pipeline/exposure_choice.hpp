@@ -47,9 +47,8 @@ ExposureNeed exposure_need(double contrast, const std::optional<double>& noise, 
 
 /// The exposure that an image is processed with until its blur has been examined.
 struct ExposurePlan : ChosenExposure {
-  TimeNs longest_ns =
-      0;                 ///< longest time that the exposure is expected to be: gyroscope samples are needed up to there
-  TimeNs period_ns = 0;  ///< frame period: no exposure is longer; 0: not known
+  TimeNs longest_ns = 0;  ///< longest time expected of the exposure: gyroscope samples are needed up to there
+  TimeNs period_ns = 0;   ///< frame period: no exposure is longer; 0: not known
   bool estimate = false;  ///< it is to be estimated from the blur
   /// Once it has been chosen: nothing changes any more, for images that repeat its picture.
   bool decided = false;

@@ -107,7 +107,7 @@ cv::Mat approached(const cv::Mat& scene) {
   return sum / kInstants;
 }
 
-// Were all of a window blurred alike, the mean of these estimates would be 2.5 % too short.
+// With the same blur all over each window, the mean of these estimates would be 2.5 % too short.
 TEST(ExposureEstimate, FollowsBlurThatVariesWithinAWindow) {
   FrameBlur field = assumed_field(0, 14, 1);
   for (int i = 0; i < field.grid.size(); ++i) {
