@@ -19,10 +19,22 @@ struct DisplacedPoint {
   Eigen::Vector2d place_px, displacement_px;
 };
 
-/// Plane through the displacements of the nearest points, robust against those of another depth or object. Nothing
-/// where there are fewer than six.
-/// @param expected_slope  in directions in which the points do not extend, the slope stays near it
-std::optional<LocalMotion> local_motion(const std::vector<DisplacedPoint>& points, const Eigen::Vector2d& place_px,
-                                        const Eigen::Matrix2d& expected_slope = Eigen::Matrix2d::Zero());
+/// The motion around any place of an image, by the displaced points near it.
+class LocalMotions {
+ public:
+  explicit LocalMotions(std::vector<DisplacedPoint> points);
+
+  /// Plane through the displacements of the nearest points, robust against those of another depth or object. Nothing
+  /// where there are fewer than six.
+  /// @param expected_slope  in directions in which the points do not extend, the slope stays near it
+  std::optional<LocalMotion> at(const Eigen::Vector2d& place_px,
+                                const Eigen::Matrix2d& expected_slope = Eigen::Matrix2d::Zero()) const;
+
+ private:
+  const std::vector<int>& nearest_to(const Eigen::Vector2d& place_px) const;
+
+  std::vector<DisplacedPoint> points_;
+  Eigen::ArrayXf x_px_, y_px_;  // of their places, in columns for SIMD
+};
 
 }  // namespace gyro_deblur

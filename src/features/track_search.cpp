@@ -186,6 +186,7 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
   for (const TrackState& state : states) {
     if (state.unpredicted_px_s) of_last.push_back({state.point.place_px, step.seconds * *state.unpredicted_px_s});
   }
+  const LocalMotions motions_of_last(of_last);
   for_each(states.size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = candidates[i];
     const TrackState& state = states[i];
@@ -196,7 +197,7 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
       if (of_last.empty()) return;
       start_px += state.unpredicted_px_s
                       ? Eigen::Vector2d(step.seconds * *state.unpredicted_px_s)
-                      : local_motion(of_last, state.point.place_px).value_or(LocalMotion{}).displacement_px;
+                      : motions_of_last.at(state.point.place_px).value_or(LocalMotion{}).displacement_px;
     }
     thread.find(state, start_px, &candidate);
     // Without a residual velocity it may have been found by chance, unless it is certain and near: search_far()
@@ -256,12 +257,12 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
     if (!candidate.found) continue;
     displaced.push_back({(*states)[i].point.place_px, candidate.found->place_px - candidate.predicted.rotated_px});
   }
+  const LocalMotions motions(std::move(displaced));
   for_each(candidates->size(), step, [&](std::size_t i, const Thread& thread) {
     TrackCandidate& candidate = (*candidates)[i];
     TrackState& state = (*states)[i];
     PredictedPoint& predicted = candidate.predicted;
-    const std::optional<LocalMotion> local =
-        local_motion(displaced, state.point.place_px, predicted.map - predicted.rotated_map);
+    const std::optional<LocalMotion> local = motions.at(state.point.place_px, predicted.map - predicted.rotated_map);
     // Where the map stays what it was, the patches do too: this moves the corner of a window by a tenth of a pixel.
     constexpr double kLeastSlope = 0.01;
     bool has_changed = false;
