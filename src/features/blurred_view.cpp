@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include <Eigen/LU>
 #include <opencv2/imgproc.hpp>
 
 #include "blur/image_noise.hpp"
@@ -33,6 +34,49 @@ std::vector<BlurredView::Residual> smoothed_residuals(const FrameBlur& field) {
     residuals.push_back({sum_px_s / std::max(1, count), count > 0});
   }
   return residuals;
+}
+
+constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
+
+/// Jacobian of where the rotation takes a point, if other rows are exposed at other times. Not finite where the
+/// rotation of neighbouring rows is not known.
+/// @param map  Jacobian if all rows were exposed when the point's row is
+Eigen::Matrix2d with_row_times(const Eigen::Matrix2d& map, const Eigen::Vector3d& ray, const Camera& camera,
+                               const CameraMotion& motion, const RowExposure& from, double from_row,
+                               const RowExposure& to, double to_row) {
+  const auto place_at = [&](double row, double row_then) -> Eigen::Vector2d {
+    const auto direction = rotated_ray(ray, motion, from.middle(row), to.middle(row_then));
+    return camera.project(direction.value_or(Eigen::Vector3d::Zero()));  // not known: NaN
+  };
+  constexpr double h = kHalfStepPx;
+  const Eigen::Vector2d by_from_row = (place_at(from_row + h, to_row) - place_at(from_row - h, to_row)) / (2 * h),
+                        by_to_row = (place_at(from_row, to_row + h) - place_at(from_row, to_row - h)) / (2 * h);
+  // d place = map d pixel + by_from_row d pixel.y + by_to_row d place.y
+  Eigen::Matrix2d left = Eigen::Matrix2d::Identity(), right = map;
+  left.col(1) -= by_to_row;
+  right.col(1) += by_from_row;
+  return left.inverse() * right;
+}
+
+/// Where a point is by the rotation alone, and the Jacobian of that; where it was if the rotation is not known.
+PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const RowExposure& from,
+                            const RowExposure& to, const CameraMotion& motion) {
+  const Eigen::Matrix2d identity = Eigen::Matrix2d::Identity();
+  const Camera& camera = rays.camera();
+  const Eigen::Vector3d ray = rays.ray(place_px);
+  const auto rotated = rotated_pixel(place_px, ray, camera, motion, from, to);
+  if (!rotated) return {place_px, identity, place_px, identity, true, rays};
+  const Eigen::Vector3d direction = rotated->rotation * ray, ray_then = direction / direction.z();
+  const NearbyRays near(camera, rotated->pixel_px, ray_then);
+  const Eigen::Matrix<double, 3, 2> direction_per_px = rotated->rotation.leftCols<2>() * rays.ray_per_px();
+  const Eigen::Matrix2d ray_then_per_px =
+      (direction_per_px.topRows<2>() - ray_then.head<2>() * direction_per_px.row(2)) / direction.z();
+  Eigen::Matrix2d map = near.px_per_ray() * ray_then_per_px;
+  if (from.row_time_ns() != 0 || to.row_time_ns() != 0) {
+    map = with_row_times(map, ray, camera, motion, from, place_px.y(), to, rotated->pixel_px.y());
+  }
+  if (!map.allFinite()) map = identity;
+  return {rotated->pixel_px, map, rotated->pixel_px, map, true, near};
 }
 
 }  // namespace
@@ -87,33 +131,22 @@ BlurredPoint BlurredView::point_at(const Eigen::Vector2d& place_px, const Eigen:
 
 PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const BlurredView& from,
                              const BlurredView& to, const CameraMotion& motion) {
-  bool by_residual = true;
-  const auto rotate = [&](const Eigen::Vector2d& at_px) -> Eigen::Vector2d {
-    return predicted_pixel(at_px, rays.ray(at_px), rays.camera(), motion, from.exposure(), to.exposure())
-        .value_or(at_px);
-  };
+  PredictedPoint predicted = rotate_point(place_px, rays, from.exposure(), to.exposure(), motion);
   const auto residual = [&](const Eigen::Vector2d& at_px, const Eigen::Vector2d& rotated_px) -> Eigen::Vector2d {
     const BlurredView::Residual before = from.residual_at(at_px), now = to.residual_at(rotated_px);
-    by_residual = by_residual && (before.is_known || now.is_known);
+    predicted.by_residual = predicted.by_residual && (before.is_known || now.is_known);
     const double both = (before.is_known ? 1 : 0) + (now.is_known ? 1 : 0);
     const double seconds = to_seconds(to.exposure().middle(rotated_px.y()) - from.exposure().middle(at_px.y()));
     return seconds / std::max(1.0, both) * (before.velocity_px_s + now.velocity_px_s);
   };
-  PredictedPoint predicted;
-  predicted.rotated_px = rotate(place_px);
   predicted.place_px = predicted.rotated_px + residual(place_px, predicted.rotated_px);
-  constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
   for (int axis = 0; axis < 2; ++axis) {
-    const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis);
-    const Eigen::Vector2d ahead_px = rotate(place_px + step_px), behind_px = rotate(place_px - step_px);
-    predicted.rotated_map.col(axis) = (ahead_px - behind_px) / (2 * kHalfStepPx);
-    predicted.map.col(axis) =
-        predicted.rotated_map.col(axis) +
-        (residual(place_px + step_px, ahead_px) - residual(place_px - step_px, behind_px)) / (2 * kHalfStepPx);
+    const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis),
+                          rotated_step_px = kHalfStepPx * predicted.rotated_map.col(axis);
+    predicted.map.col(axis) += (residual(place_px + step_px, predicted.rotated_px + rotated_step_px) -
+                                residual(place_px - step_px, predicted.rotated_px - rotated_step_px)) /
+                               (2 * kHalfStepPx);
   }
-  predicted.by_residual = by_residual;
-  if (!predicted.rotated_map.allFinite()) predicted.rotated_map.setIdentity();
-  if (!predicted.map.allFinite()) predicted.map.setIdentity();
   return predicted;
 }
 

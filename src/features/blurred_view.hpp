@@ -2,6 +2,7 @@
 #pragma once
 
 #include <mutex>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -55,9 +56,10 @@ class BlurredView {
 struct PredictedPoint {
   Eigen::Vector2d place_px;
   Eigen::Matrix2d map;
-  Eigen::Vector2d rotated_px;   ///< place by the rotation alone
-  Eigen::Matrix2d rotated_map;  ///< map by the rotation alone
-  bool by_residual;             ///< a residual velocity is known in addition to the rotation
+  Eigen::Vector2d rotated_px;      ///< place by the rotation alone
+  Eigen::Matrix2d rotated_map;     ///< map by the rotation alone
+  bool by_residual;                ///< a residual velocity is known in addition to the rotation
+  std::optional<NearbyRays> near;  ///< around rotated_px
 };
 
 /// By the rotation between the instants at which the two images show the point, and the mean of both images' residual

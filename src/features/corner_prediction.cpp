@@ -31,23 +31,27 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to) {
-  return predicted_pixel(pixel_px, camera.ray(pixel_px), camera, motion, from, to);
+  const auto rotated = rotated_pixel(pixel_px, camera.ray(pixel_px), camera, motion, from, to);
+  if (!rotated) return std::nullopt;
+  return rotated->pixel_px;
 }
 
-std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
-                                               const Camera& camera, const CameraMotion& motion,
-                                               const RowExposure& from, const RowExposure& to) {
+std::optional<RotatedPixel> rotated_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
+                                          const Camera& camera, const CameraMotion& motion, const RowExposure& from,
+                                          const RowExposure& to) {
   const double last_row = camera.calibration().height_px - 1.0;
   const TimeNs from_ns = from.middle(pixel_px.y());
-  Eigen::Vector2d at_px = pixel_px;
+  RotatedPixel rotated{pixel_px, Eigen::Matrix3d::Identity()};
   // The row decides when it is seen, and that decides the row.
   const int iterations = to.timing().readout_ns == 0 ? 1 : 3;
   for (int iteration = 0; iteration < iterations; ++iteration) {
-    const auto next_px = pixel_of(ray, camera, motion, from_ns, to.middle(std::clamp(at_px.y(), 0.0, last_row)));
-    if (!next_px) return std::nullopt;
-    at_px = *next_px;
+    const TimeNs to_ns = to.middle(std::clamp(rotated.pixel_px.y(), 0.0, last_row));
+    if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
+    rotated.rotation = motion.rotation(from_ns, to_ns);
+    rotated.pixel_px = camera.project(rotated.rotation * ray);
+    if (!rotated.pixel_px.allFinite()) return std::nullopt;
   }
-  return at_px;
+  return rotated;
 }
 
 std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, const Camera& camera,

@@ -25,10 +25,14 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to);
 
-/// The same of a pixel whose direction is known.
-std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
-                                               const Camera& camera, const CameraMotion& motion,
-                                               const RowExposure& from, const RowExposure& to);
+/// The same of a pixel whose direction is known, and the rotation that takes it there.
+struct RotatedPixel {
+  Eigen::Vector2d pixel_px;
+  Eigen::Matrix3d rotation;
+};
+std::optional<RotatedPixel> rotated_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
+                                          const Camera& camera, const CameraMotion& motion, const RowExposure& from,
+                                          const RowExposure& to);
 
 /// Where what is at `pixel_px` in the middle of its row's exposure is on average within it, less `pixel_px`: a blurred
 /// corner is seen there. Nothing where the rotation is not known.

@@ -14,15 +14,18 @@ class NearbyRays {
   /// @param ray  of the pixel, z = 1; NaN: each pixel is undistorted from scratch
   NearbyRays(const Camera& camera, const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray);
 
-  /// As Camera::ray(), to a millionth of a pixel.
+  /// As Camera::ray(), to a hundred-thousandth of a pixel.
   Eigen::Vector3d ray(const Eigen::Vector2d& pixel_px) const;
-  const Camera& camera() const { return camera_; }
+  const Camera& camera() const { return *camera_; }
+  /// Jacobian of the pixel by x and y of a direction with z = 1, to a few ten-thousandths; and its inverse.
+  const Eigen::Matrix2d& px_per_ray() const { return px_per_ray_; }
+  const Eigen::Matrix2d& ray_per_px() const { return ray_per_px_; }
 
  private:
-  const Camera& camera_;
+  const Camera* camera_;
   Eigen::Vector2d pixel_px_;
   Eigen::Vector3d ray_;
-  Eigen::Matrix2d per_pixel_;  // what x and y of a direction with z = 1 change by
+  Eigen::Matrix2d px_per_ray_, ray_per_px_;
 };
 
 }  // namespace gyro_deblur

@@ -10,7 +10,6 @@
 #include "base/parallel.hpp"
 #include "blur/path_2d.hpp"
 #include "features/corner_following.hpp"
-#include "features/corner_prediction.hpp"
 #include "features/local_motion.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
@@ -92,12 +91,6 @@ struct TrackSearch::Thread {
     if (state.residual_slope_1_s) {
       candidate->predicted.map = candidate->predicted.rotated_map + step.seconds * *state.residual_slope_1_s;
     }
-    const double row = candidate->predicted.place_px.y();
-    Eigen::Vector3d ray =
-        rotated_ray(state.ray, motion, step.before.exposure().middle(place_px.y()), step.now.exposure().middle(row))
-            .value_or(state.ray);
-    ray /= ray.z();
-    candidate->near.emplace(step.camera, step.camera.project(ray), ray);
   }
 
   std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const Eigen::Vector2d& start_px,
@@ -105,7 +98,7 @@ struct TrackSearch::Thread {
     // Within this distance paths differ by less than a hundredth of their length.
     constexpr double kSamePathPx = 3;
     if (!((start_px - candidate->near_start.place_px).norm() < kSamePathPx)) {
-      candidate->near_start = point_at(start_px, *candidate->near);
+      candidate->near_start = point_at(start_px, *candidate->predicted.near);
     }
     BlurredPoint in_to = candidate->near_start;
     in_to.place_px = start_px;
@@ -150,7 +143,7 @@ struct TrackSearch::Thread {
     state->point.place_px = candidate->found->place_px;
     ++state->anchor_age;
     if (!candidate->by_anchor && state->anchor_age > 1) hold_down_drift(state, candidate);
-    state->ray = candidate->near->ray(state->point.place_px);
+    state->ray = candidate->predicted.near->ray(state->point.place_px);
     state->point = step.now.point_at(state->point.place_px, state->ray, step.camera, motion);
   }
 
@@ -191,7 +184,7 @@ std::vector<TrackCandidate> TrackSearch::search(const TrackStep& step, const std
     TrackCandidate& candidate = candidates[i];
     const TrackState& state = states[i];
     thread.predict(state, &candidate);
-    candidate.near_start = thread.point_at(candidate.predicted.place_px, *candidate.near);
+    candidate.near_start = thread.point_at(candidate.predicted.place_px, *candidate.predicted.near);
     Eigen::Vector2d start_px = candidate.predicted.place_px;
     if (!candidate.predicted.by_residual) {
       if (of_last.empty()) return;

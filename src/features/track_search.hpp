@@ -12,7 +12,6 @@
 
 #include "features/blur_alignment.hpp"
 #include "features/blurred_view.hpp"
-#include "features/nearby_rays.hpp"
 #include "features/remembered_motion.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/options.hpp"
@@ -67,9 +66,8 @@ struct TrackStep {
 
 /// A track in the new image.
 struct TrackCandidate {
-  PredictedPoint predicted;        ///< with the map by the last residual slope where that is known
-  std::optional<NearbyRays> near;  ///< around the predicted place
-  BlurredPoint near_start;         ///< the path of a point about there
+  PredictedPoint predicted;  ///< with the map by the last residual slope where that is known
+  BlurredPoint near_start;   ///< the path of a point about there
   std::optional<Alignment> found;
   bool by_anchor = false;  ///< found from the older template, which needs no other
 };

@@ -24,11 +24,20 @@ std::string describe(const TimeRange& range) {
 }  // namespace
 
 Eigen::Quaterniond so3_exp(const Eigen::Vector3d& rotation_rad) {
-  const double half = 0.5 * rotation_rad.norm();
-  // sin(half) / half; its series is exact to double precision below 1e-4.
-  const double sinc = half < 1e-4 ? 1.0 - half * half / 6.0 : std::sin(half) / half;
+  const double half2 = 0.25 * rotation_rad.squaredNorm();
+  // Below this, which 20 rad/s reach from sample to sample at 200 Hz, the series are exact to double precision.
+  constexpr double kSmall = 0.05 * 0.05;
+  double sinc, cosine;  // sin(half) / half and cos(half)
+  if (half2 < kSmall) {
+    sinc = 1 - half2 * (1. / 6) * (1 - half2 * (1. / 20) * (1 - half2 * (1. / 42)));
+    cosine = 1 - half2 * 0.5 * (1 - half2 * (1. / 12) * (1 - half2 * (1. / 30) * (1 - half2 * (1. / 56))));
+  } else {
+    const double half = std::sqrt(half2);
+    sinc = std::sin(half) / half;
+    cosine = std::cos(half);
+  }
   const Eigen::Vector3d vector = 0.5 * sinc * rotation_rad;
-  return {std::cos(half), vector.x(), vector.y(), vector.z()};
+  return {cosine, vector.x(), vector.y(), vector.z()};
 }
 
 Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {

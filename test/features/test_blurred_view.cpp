@@ -1,8 +1,12 @@
 #include "features/blurred_view.hpp"
 
+#include <string>
+#include <vector>
+
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
+#include "features/corner_prediction.hpp"
 #include "gyro_deblur/exposure.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 #include "gyro_deblur/gyro_buffer.hpp"
@@ -15,13 +19,15 @@ const cv::Size kSize(320, 240);
 const Eigen::Vector2d kPixel(100, 150), kVelocityPxS(60, -20);
 constexpr double kFocalPx = 250, kRollRadS = 0.8;
 
-Camera camera() {
+Camera camera(const std::string& model = "none", const std::vector<double>& coefficients = {}) {
   CameraCalibration calibration;
   calibration.width_px = kSize.width;
   calibration.height_px = kSize.height;
   calibration.fx_px = calibration.fy_px = kFocalPx;
   calibration.cx_px = 160;
   calibration.cy_px = 120;
+  calibration.model = model;
+  calibration.coefficients = coefficients;
   return Camera(calibration);
 }
 
@@ -144,6 +150,31 @@ TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
                                               RotationTrack({}, GyroOptions{}, Eigen::Matrix3d::Identity()));
   EXPECT_EQ(still.place_px, kPixel);
   EXPECT_LT((still.map - Eigen::Matrix2d::Identity()).norm(), 1e-9);
+}
+
+TEST_F(BlurredViewTest, RotatedMapIsTheJacobianOfWhereItTakesPixels) {
+  std::vector<GyroSample> samples;
+  for (TimeNs t_ns = 0; t_ns <= 200'000'000; t_ns += 5'000'000) samples.push_back({t_ns, {0.5, -0.3, kRollRadS}});
+  const RotationTrack motion(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
+  for (const Camera& lens : {camera(), camera("plumb_bob", {-0.28, 0.07, 2e-4, 1e-4})}) {
+    for (const TimeNs readout_ns : {0, 40'000'000, -40'000'000}) {
+      ShutterTiming timing;
+      timing.exposure_ns = kExposureNs;
+      timing.readout_ns = readout_ns;
+      const RowExposure first(50'000'000, kSize.height, timing), second(100'000'000, kSize.height, timing);
+      const PredictedPoint predicted =
+          predict_point(kPixel, NearbyRays(lens, kPixel, lens.ray(kPixel)), BlurredView(image_, first, nullptr),
+                        BlurredView(image_, second, nullptr), motion);
+      Eigen::Matrix2d expected;
+      for (int axis = 0; axis < 2; ++axis) {
+        const Eigen::Vector2d step_px = 0.5 * Eigen::Vector2d::Unit(axis);
+        expected.col(axis) = predicted_pixel(kPixel + step_px, lens, motion, first, second).value() -
+                             predicted_pixel(kPixel - step_px, lens, motion, first, second).value();
+      }
+      EXPECT_LT((predicted.rotated_map - expected).norm(), 2e-4) << readout_ns;
+      EXPECT_LT((lens.project(predicted.near->ray(predicted.rotated_px)) - predicted.rotated_px).norm(), 1e-5);
+    }
+  }
 }
 
 }  // namespace
