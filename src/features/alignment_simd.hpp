@@ -22,6 +22,9 @@ struct AlignmentSimd {
   /// written(x, y) = sum of shares[k] * read[offsets[k] + x + y * read_stride] over k < taps, for x < width.
   void (*convolve)(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
                    float* written, std::ptrdiff_t stride, int width, int height);
+  /// sorted[k count + i] = pixels[n i + k] for i < count and k < n, where n is 2 or 3.
+  void (*sort_by_two)(const float* pixels, float* sorted, int count);
+  void (*sort_by_three)(const float* pixels, float* sorted, int count);
   /// sampled[i] for i < count, at the pixel (x + i dx, y + i dy), both >= 0, with weights for the pixels from (0, 0)
   /// on.
   /// @param table  kInterpolationSteps + 1 rows of kInterpolationStride weights, by the fraction of a pixel; the last

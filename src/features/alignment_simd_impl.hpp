@@ -70,6 +70,21 @@ void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets,
   }
 }
 
+void sort_by_two(const float* __restrict pixels, float* __restrict sorted, int count) {
+  for (int i = 0; i < count; ++i) {
+    sorted[i] = pixels[2 * i];
+    sorted[count + i] = pixels[2 * i + 1];
+  }
+}
+
+void sort_by_three(const float* __restrict pixels, float* __restrict sorted, int count) {
+  for (int i = 0; i < count; ++i) {
+    sorted[i] = pixels[3 * i];
+    sorted[count + i] = pixels[3 * i + 1];
+    sorted[2 * count + i] = pixels[3 * i + 2];
+  }
+}
+
 /// Interpolated at a pixel but for the sum of its lanes.
 inline FourFloats interpolate(const float* pixels, std::ptrdiff_t stride, const float* table, float at_x, float at_y) {
   const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
@@ -216,15 +231,8 @@ void multiply_gradients(const float* ax, const float* ay, const float* bx, const
 }  // namespace
 
 extern const AlignmentSimd kAlignmentSimd;
-const AlignmentSimd kAlignmentSimd = {GYRO_DEBLUR_ISA_NAME,
-                                      widen,
-                                      convolve,
-                                      sample_row,
-                                      differentiate,
-                                      compare,
-                                      combine,
-                                      project,
-                                      multiply_by_derivatives,
-                                      multiply_gradients};
+const AlignmentSimd kAlignmentSimd = {
+    GYRO_DEBLUR_ISA_NAME, widen,   convolve, sort_by_two, sort_by_three,           sample_row,
+    differentiate,        compare, combine,  project,     multiply_by_derivatives, multiply_gradients};
 
 }  // namespace gyro_deblur::GYRO_DEBLUR_ISA

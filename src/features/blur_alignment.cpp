@@ -5,7 +5,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <utility>
 
 #include <Eigen/Dense>
 
@@ -116,47 +115,29 @@ bool agrees(const Alignment& alignment) {
 }
 
 void BlurAligner::Patch::resize(int width, int height) {
-  if (width == width_ && height == height_) return;
   width_ = width;
   height_ = height;
   stride_ = width + kPatchRoom;
-  pixels_.assign(static_cast<std::size_t>(stride_ * height_ + kPatchRoom), 0.0f);
+  const auto needed = static_cast<std::size_t>(stride_ * height_ + kPatchRoom);
+  if (pixels_.size() < needed) pixels_.resize(needed);
+  for (int y = 0; y < height; ++y) std::fill_n(row(y) + width, kPatchRoom, 0.0f);
 }
 
-void BlurAligner::rasterize(const Path2d& path_px, Psf* psf) {
-  // Bilinear shares keep the path's mean; samples half a pixel apart spread evenly over its pixels.
-  constexpr float kStepPx = 0.5f;
-  Eigen::Array2f least = path_px[0], most = path_px[0];
-  for (const Eigen::Vector2f& place_px : path_px) {
-    least = least.min(place_px.array());
-    most = most.max(place_px.array());
-  }
-  // A pixel collects light from where the path comes from: the path, mirrored.
-  const Eigen::Array2f first = (-most).floor(), last = (-least).floor() + 1;
-  psf->reach = {static_cast<int>(first.x()), static_cast<int>(last.x()), static_cast<int>(first.y()),
-                static_cast<int>(last.y())};
-  psf->shares.setZero(psf->reach.height(), psf->reach.width());
-  for (std::size_t k = 0; k + 1 < path_px.size(); ++k) {
-    const Eigen::Array2f begin = -path_px[k].array() - first, step = (path_px[k] - path_px[k + 1]).array();
-    const int samples = std::max(1, static_cast<int>(std::ceil(step.matrix().norm() / kStepPx)));
-    const float share = 1.0f / static_cast<float>(samples * (kPathInstants - 1));
-    for (int i = 0; i < samples; ++i) {
-      const Eigen::Array2f at = begin + (static_cast<float>(i) + 0.5f) / static_cast<float>(samples) * step;
-      const int x = std::clamp(static_cast<int>(at.x()), 0, psf->reach.width() - 2),
-                y = std::clamp(static_cast<int>(at.y()), 0, psf->reach.height() - 2);
-      const float fx = at.x() - static_cast<float>(x), fy = at.y() - static_cast<float>(y);
-      psf->shares(y, x) += share * (1 - fx) * (1 - fy);
-      psf->shares(y, x + 1) += share * fx * (1 - fy);
-      psf->shares(y + 1, x) += share * (1 - fx) * fy;
-      psf->shares(y + 1, x + 1) += share * fx * fy;
-    }
-  }
-  psf->energy = psf->shares.square().sum();
+void BlurAligner::choose_spacing(const Path2d& first_px, const Path2d& second_px) {
+  // Where both blurs are long along an axis, neighbours show nearly the same, and each image's noise is blurred by the
+  // other's path: every second or third pixel says as much as all (doc/reports/tracks.md).
+  const Eigen::Vector2f first = extent_of(first_px), second = extent_of(second_px), both = first + second;
+  const int axis = both.x() > both.y() ? 0 : 1;
+  const auto are_long = [&](float least_px, float least_sum_px) {
+    return std::min(first[axis], second[axis]) >= least_px && both[axis] >= least_sum_px;
+  };
+  spacing_ = {1, 1};
+  spacing_[static_cast<std::size_t>(axis)] = are_long(6, 20) ? 3 : are_long(3, 8) ? 2 : 1;
 }
 
-void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Region* blurred) {
+void BlurAligner::blur(const cv::Mat& image, const PathPsf& psf, const PixelBox& box, Region* blurred) {
   constexpr float kLeastShare = 1e-6f;  // rounding left it
-  const Box read = box.grown(psf.reach);
+  const PixelBox read = box.grown(psf.reach);
   source_.resize(read.width(), read.height());
   simd_.widen(image.ptr(read.first_y) + read.first_x, static_cast<std::ptrdiff_t>(image.step), source_.row(0),
               source_.stride(), read.width(), read.height());
@@ -175,10 +156,11 @@ void BlurAligner::blur(const cv::Mat& image, const Psf& psf, const Box& box, Reg
                  blurred->patch.row(0), blurred->patch.stride(), box.width(), box.height());
 }
 
-BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
+PixelBox BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
   Eigen::AlignedBox2d covered_px;
-  for (const int x : {window_.first_x - kTemplateMargin, window_.last_x + kTemplateMargin}) {
-    for (const int y : {window_.first_y - kTemplateMargin, window_.last_y + kTemplateMargin}) {
+  const int margin_x = kTemplateMargin * spacing_[0], margin_y = kTemplateMargin * spacing_[1];
+  for (const int x : {window_.first_x - margin_x, window_.last_x + margin_x}) {
+    for (const int y : {window_.first_y - margin_y, window_.last_y + margin_y}) {
       covered_px.extend(place_px + inverse_map * Eigen::Vector2d(x, y));
     }
   }
@@ -187,11 +169,11 @@ BlurAligner::Box BlurAligner::template_box(const Eigen::Vector2d& place_px, cons
           cvFloor(covered_px.min().y()) - kBefore - 1, cvFloor(covered_px.max().y()) + kAfter + 1};
 }
 
-BlurAligner::Box BlurAligner::search_box(const Eigen::Vector2d& place_px, int margin_px) const {
+PixelBox BlurAligner::search_box(const Eigen::Vector2d& place_px, int margin_px) const {
   const int x = cvFloor(place_px.x()), y = cvFloor(place_px.y());
-  margin_px += kPatchMargin;
-  return {x + window_.first_x - margin_px - kBefore, x + window_.last_x + margin_px + kAfter,
-          y + window_.first_y - margin_px - kBefore, y + window_.last_y + margin_px + kAfter};
+  const int margin_x = margin_px + kPatchMargin * spacing_[0], margin_y = margin_px + kPatchMargin * spacing_[1];
+  return {x + window_.first_x - margin_x - kBefore, x + window_.last_x + margin_x + kAfter,
+          y + window_.first_y - margin_y - kBefore, y + window_.last_y + margin_y + kAfter};
 }
 
 bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_px, const cv::Size& to,
@@ -201,13 +183,19 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
   // A map that rotates or stretches moves the first image's edge by more than what is cut off: again then.
   constexpr int kAttempts = 3;
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
-    const Box first = template_box(from_px, inverse_map).grown(psf_of_first_.reach),
-              second = search_box(to_px, kSearchMargin).grown(psf_of_second_.reach);
+    const PixelBox first = template_box(from_px, inverse_map).grown(psf_of_first_.reach),
+                   second = search_box(to_px, kSearchMargin).grown(psf_of_second_.reach);
     const int left = std::max({0, -first.first_x, -second.first_x}),
               right = std::max({0, first.last_x - from.width + 1, second.last_x - to.width + 1}),
               top = std::max({0, -first.first_y, -second.first_y}),
               bottom = std::max({0, first.last_y - from.height + 1, second.last_y - to.height + 1});
-    if (left + right + top + bottom == 0) return true;
+    if (left + right + top + bottom == 0) {
+      // Compared pixels are spread evenly about the middle.
+      const int columns_left = (window_.width() - 1) % spacing_[0], rows_left = (window_.height() - 1) % spacing_[1];
+      window_ = {window_.first_x + columns_left / 2, window_.last_x - (columns_left + 1) / 2,
+                 window_.first_y + rows_left / 2, window_.last_y - (rows_left + 1) / 2};
+      return true;
+    }
     window_ = {window_.first_x + left, window_.last_x - right, window_.first_y + top, window_.last_y - bottom};
     if (window_.width() <= 0 || window_.height() <= 0) return false;
     if (window_.width() * window_.height() < kMinWindowShare * window_px * window_px) return false;
@@ -217,11 +205,12 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
 
 void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) {
   constexpr int kMargin = kTemplateMargin;
-  const int width = window_.width(), height = window_.height();
+  const int width = compared_columns(), height = compared_rows();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
-  const Eigen::Vector2f step_px = inverse_map.col(0).cast<float>();
+  const Eigen::Vector2f step_px = static_cast<float>(spacing_[0]) * inverse_map.col(0).cast<float>();
   for (int y = 0; y < sampled_.height(); ++y) {
-    const Eigen::Vector2d offset_px(window_.first_x - kMargin, window_.first_y - kMargin + y);
+    const Eigen::Vector2d offset_px(window_.first_x - kMargin * spacing_[0],
+                                    window_.first_y + (y - kMargin) * spacing_[1]);
     const Eigen::Vector2f at_px = (place_px + inverse_map * offset_px -
                                    Eigen::Vector2d(first_.box.first_x + kBefore, first_.box.first_y + kBefore))
                                       .cast<float>();
@@ -241,24 +230,34 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
                       gradient_x_.stride(), width, height);
 }
 
+void BlurAligner::sort_columns() {
+  const Patch& blurred = second_.patch;
+  const int each = (blurred.width() + spacing_[0] - 1) / spacing_[0];
+  sorted_.resize(spacing_[0] * each, blurred.height());
+  const auto sort_row = spacing_[0] == 2 ? simd_.sort_by_two : simd_.sort_by_three;
+  for (int y = 0; y < blurred.height(); ++y) sort_row(blurred.row(y), sorted_.row(y), each);
+}
+
 void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
   const int x = cvFloor(place_px.x()), y = cvFloor(place_px.y());
   const auto across = interpolation_weights(place_px.x() - x), down = interpolation_weights(place_px.y() - y);
   constexpr int kMargin = kPatchMargin;
-  const int left = x + window_.first_x - kMargin - kBefore - second_.box.first_x,
-            top = y + window_.first_y - kMargin - kBefore - second_.box.first_y, width = window_.width() + 2 * kMargin,
-            height = window_.height() + 2 * kMargin;
-  rows_.resize(width, height + kTaps - 1);
+  const int left = x + window_.first_x - kMargin * spacing_[0] - kBefore - second_.box.first_x,
+            top = y + window_.first_y - kMargin * spacing_[1] - kBefore - second_.box.first_y,
+            width = compared_columns() + 2 * kMargin, height = compared_rows() + 2 * kMargin,
+            rows = (height - 1) * spacing_[1] + kTaps;
+  rows_.resize(width, rows);
   patch_.resize(width, height);
+  const Patch& blurred = spacing_[0] == 1 ? second_.patch : sorted_;
   std::array<int, kTaps> right_of, below;
   for (int k = 0; k < kTaps; ++k) {
-    right_of[k] = k;
+    right_of[k] = (left + k) % spacing_[0] * (blurred.width() / spacing_[0]) + (left + k) / spacing_[0];
     below[k] = k * rows_.stride();
   }
-  simd_.convolve(second_.patch.row(top) + left, second_.patch.stride(), right_of.data(), across.data(), kTaps,
-                 rows_.row(0), rows_.stride(), width, height + kTaps - 1);
-  simd_.convolve(rows_.row(0), rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0), patch_.stride(), width,
-                 height);
+  simd_.convolve(blurred.row(top), blurred.stride(), right_of.data(), across.data(), kTaps, rows_.row(0),
+                 rows_.stride(), width, rows);
+  simd_.convolve(rows_.row(0), spacing_[1] * rows_.stride(), below.data(), down.data(), kTaps, patch_.row(0),
+                 patch_.stride(), width, height);
 }
 
 double BlurAligner::pattern_energy(double noise_variance) {
@@ -306,26 +305,27 @@ double BlurAligner::residual(double gain) {
 bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern,
                          const AlignmentOptions& options, Eigen::Vector2d* place_px, double* gain) {
   constexpr double kMinGain = 0.1, kLongestStepPx = 2;
-  const Box image{0, to.cols - 1, 0, to.rows - 1};
-  const Eigen::Matrix2d inverse = gradients.inverse();
+  const PixelBox image{0, to.cols - 1, 0, to.rows - 1};
+  const Eigen::Matrix2d inverse = gradients.inverse(), per_compared_px = px_per_compared();
   const Eigen::Vector2d start_px = *place_px;
   const std::array<const float*, 3> factors{template_.row(0), gradient_x_.row(0), gradient_y_.row(0)};
   second_.box = {};
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     if (!second_.box.contains(search_box(*place_px, 0))) {
-      const Box box = search_box(*place_px, kSearchMargin);
+      const PixelBox box = search_box(*place_px, kSearchMargin);
       if (!image.contains(box.grown(psf_of_second_.reach))) return false;
       blur(to, psf_of_second_, box, &second_);
+      if (spacing_[0] > 1) sort_columns();
     }
     sample_patch(*place_px);
     // The factors have no mean: that of the patch does not matter.
     std::array<float, 3> sums;
     simd_.project(patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), factors.data(), template_.stride(),
-                  window_.width(), window_.height(), sums.data());
+                  compared_columns(), compared_rows(), sums.data());
     *gain = sums[0] / pattern;
     if (!(*gain > kMinGain)) return false;
     const Eigen::Vector2d products(sums[1], sums[2]);
-    Eigen::Vector2d step_px = -inverse * products / *gain;
+    Eigen::Vector2d step_px = -per_compared_px * inverse * products / *gain;
     const double length_px = step_px.norm();
     if (length_px > kLongestStepPx) step_px *= kLongestStepPx / length_px;
     // The last step is taken without reading the patch again: it is shorter than what a patch shows.
@@ -339,57 +339,31 @@ bool BlurAligner::search(const cv::Mat& to, const Eigen::Matrix2d& gradients, do
 Eigen::Matrix2d BlurAligner::multiply_gradients_of_both() {
   std::array<float, 3> sums;
   simd_.multiply_by_derivatives(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(),
-                                patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), window_.width(),
-                                window_.height(), sums.data());
+                                patch_.row(kPatchMargin) + kPatchMargin, patch_.stride(), compared_columns(),
+                                compared_rows(), sums.data());
   Eigen::Matrix2d products;
   products << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
   return products;
 }
 
 BlurAligner::NoiseShare BlurAligner::noise_share(const Path2d& path_px) {
-  // Two pixels of the blurred image share noise where one is as far from the other as one instant's place from
-  // another's. Gradients are blurred by the path as well: they change little between two instants of a long one.
-  constexpr int kInstants = kPathInstants - 1;
-  std::array<Eigen::Vector2f, kInstants> places_px;
-  for (int k = 0; k < kInstants; ++k) places_px[k] = 0.5f * (path_px[k] + path_px[k + 1]);
-  const int width = window_.width(), height = window_.height(), columns = 2 * width - 1;
-  pairs_.resize(static_cast<std::size_t>(columns * height), 0);  // by lag, y >= 0: the opposite is the same
-  lags_.clear();
-  // std::lround is slow where its rounding of halves is not an instruction.
-  const auto rounded = [](float value) { return static_cast<int>(std::floor(value + 0.5f)); };
-  const auto add_pairs = [&](int x, int y, int count) {
-    if (y < 0 || (y == 0 && x < 0)) {
-      x = -x;
-      y = -y;
-    }
-    if (y >= height || std::abs(x) >= width) return;
-    int& pairs = pairs_[static_cast<std::size_t>(y * columns + x + width - 1)];
-    if (pairs == 0) lags_.emplace_back(x, y);
-    pairs += count;
-  };
-  add_pairs(0, 0, kInstants);  // each with itself
-  for (int i = 0; i < kInstants; ++i) {
-    for (int k = 0; k < i; ++k) {
-      const Eigen::Vector2f away_px = places_px[i] - places_px[k];
-      add_pairs(rounded(away_px.x()), rounded(away_px.y()), 2);
-    }
-  }
+  const int width = compared_columns(), height = compared_rows();
   NoiseShare share;
-  for (const auto& [x, y] : lags_) {
-    const int count = std::exchange(pairs_[static_cast<std::size_t>(y * columns + x + width - 1)], 0);
-    const int rows = height - y, cols = width - std::abs(x), left = std::max(0, -x), right = std::max(0, x);
+  find_noise_lags(path_px, spacing_, &lags_);
+  for (const NoiseLag& lag : lags_) {
+    if (lag.y >= height || std::abs(lag.x) >= width) continue;
+    const int rows = height - lag.y, cols = width - std::abs(lag.x), left = std::max(0, -lag.x),
+              right = std::max(0, lag.x);
     std::array<float, 3> sums;
-    simd_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(y) + right,
-                             gradient_y_.row(y) + right, gradient_x_.stride(), cols, rows, sums.data());
-    share.products(0, 0) += count * sums[0];
-    share.products(0, 1) += count * 0.5 * sums[1];
-    share.products(1, 1) += count * sums[2];
-    share.mean += count * rows * cols;
+    simd_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(lag.y) + right,
+                             gradient_y_.row(lag.y) + right, gradient_x_.stride(), cols, rows, sums.data());
+    share.products(0, 0) += lag.correlation * sums[0];
+    share.products(0, 1) += lag.correlation * 0.5 * sums[1];
+    share.products(1, 1) += lag.correlation * sums[2];
+    share.mean += lag.correlation * rows * cols;
   }
   share.products(1, 0) = share.products(0, 1);
-  constexpr double pairs = kInstants * kInstants;
-  share.products /= pairs;
-  share.mean /= pairs * std::pow(width * height, 2);
+  share.mean /= std::pow(width * height, 2);
   return share;
 }
 
@@ -404,6 +378,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
       !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
     return std::nullopt;
   }
+  choose_spacing(in_to.path_px, blur_of_second_px);
   rasterize(blur_of_first_px, &psf_of_first_);
   rasterize(blur_of_second_px, &psf_of_second_);
   if (!crop_window(from.size(), in_from.place_px, to.size(), in_to.place_px, inverse_map, options.window_px)) {
@@ -411,17 +386,20 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
   sample_template(in_from.place_px, inverse_map);
-  const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, in_to.path_px),
+  const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, blur_of_first_px),
                pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
   const Eigen::Matrix2d gradients = gradients_without_gain(pattern);
-  if (!(least_eigenvalue(gradients) > kLeastInformation * template_.size())) return std::nullopt;
+  const Eigen::Matrix2d per_px = px_per_compared().inverse();
+  if (!(least_eigenvalue(per_px * gradients * per_px) > kLeastInformation * template_.size())) return std::nullopt;
 
   Alignment result{};
   result.place_px = in_to.place_px;
   if (!search(to, gradients, pattern, options, &result.place_px, &result.gain)) return std::nullopt;
   // By the gain: as the template's gradients alone would be without their noise.
   const Eigen::Matrix2d products_of_both = multiply_gradients_of_both() / result.gain;
-  if (!(least_eigenvalue(products_of_both) > kLeastInformation * template_.size())) return std::nullopt;
+  if (!(least_eigenvalue(per_px * products_of_both * per_px) > kLeastInformation * template_.size())) {
+    return std::nullopt;
+  }
   result.contrast = result.gain * std::sqrt(pattern / template_.size());
   result.residual = residual(result.gain);
   const double first_variance = std::pow(result.gain * in_from.noise, 2), second_variance = std::pow(in_to.noise, 2);
@@ -432,10 +410,11 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
                    psf_of_second_.energy * interpolated_share(result.place_px, blur_of_second_px) - of_second.mean;
   result.expected_residual =
       std::sqrt(first_variance * std::max(0.0, first_left) + second_variance * std::max(0.0, second_left));
-  const Eigen::Matrix2d inverse = products_of_both.inverse();
+  const Eigen::Matrix2d inverse = px_per_compared() * products_of_both.inverse();
   const Eigen::Matrix2d products = first_variance * of_first.products + second_variance * of_second.products;
   const double excess = result.expected_residual > 0 ? result.residual / result.expected_residual : 1;
-  result.covariance_px2 = inverse * products * inverse * std::max(1.0, excess * excess) / (result.gain * result.gain);
+  result.covariance_px2 =
+      inverse * products * inverse.transpose() * std::max(1.0, excess * excess) / (result.gain * result.gain);
   return result;
 }
 

@@ -1,8 +1,8 @@
 // Where a patch of one blurred image is in another that is blurred differently.
 #pragma once
 
+#include <array>
 #include <optional>
-#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -10,6 +10,7 @@
 
 #include "blur/path_2d.hpp"
 #include "features/alignment_simd.hpp"
+#include "features/path_psf.hpp"
 
 namespace gyro_deblur {
 
@@ -34,7 +35,7 @@ struct AlignmentOptions {
   int window_px = 21;         ///< odd, [5, 101]: side of the patch that is compared, in the second image
   int max_iterations = 30;    ///< >= 1
   double max_offset_px = 6;   ///< > 0: the search ends farther from its start
-  double min_step_px = 0.02;  ///< > 0: a shorter step ends the search
+  double min_step_px = 0.03;  ///< > 0: a shorter step ends the search
 };
 
 /// A point that was found in the second image.
@@ -73,13 +74,10 @@ class BlurAligner {
                                  const AlignmentOptions& options);
 
  private:
-  using Pixels = Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
   /// Pixels with room behind each row (alignment_simd.hpp).
   class Patch {
    public:
-    /// All pixels are 0, unless it had this size. The room behind each row is 0, as long as only 0 has been written
-    /// there.
+    /// Pixels have any finite values. The room behind each row is 0.
     void resize(int width, int height);
     int width() const { return width_; }
     int height() const { return height_; }
@@ -93,49 +91,38 @@ class BlurAligner {
     std::vector<float> pixels_;
   };
 
-  /// Pixels, both ends included.
-  struct Box {
-    int first_x = 0, last_x = -1, first_y = 0, last_y = -1;
-    int width() const { return last_x - first_x + 1; }
-    int height() const { return last_y - first_y + 1; }
-    Box grown(const Box& by) const {
-      return {first_x + by.first_x, last_x + by.last_x, first_y + by.first_y, last_y + by.last_y};
-    }
-    bool contains(const Box& other) const {
-      return other.first_x >= first_x && other.last_x <= last_x && other.first_y >= first_y && other.last_y <= last_y;
-    }
-  };
-  /// PSF of a path: the pixels that are read for one that is written.
-  struct Psf {
-    Pixels shares;     // sums to 1
-    Box reach;         // of `shares`, relative to the written pixel
-    float energy = 0;  // sum of the squared shares
-  };
   /// Part of an image, blurred.
   struct Region {
     Patch patch;
-    Box box;
+    PixelBox box;
   };
 
-  static void rasterize(const Path2d& path_px, Psf* psf);
-  void blur(const cv::Mat& image, const Psf& psf, const Box& box, Region* blurred);
+  /// Chooses spacing_ by the blurs of both images, in the second image's axes.
+  void choose_spacing(const Path2d& first_px, const Path2d& second_px);
+  /// Takes steps between compared pixels to pixels.
+  Eigen::Matrix2d px_per_compared() const { return Eigen::Vector2d(spacing_[0], spacing_[1]).asDiagonal(); }
+  int compared_columns() const { return (window_.width() - 1) / spacing_[0] + 1; }
+  int compared_rows() const { return (window_.height() - 1) / spacing_[1] + 1; }
+  void blur(const cv::Mat& image, const PathPsf& psf, const PixelBox& box, Region* blurred);
   /// Shrinks window_ until everything that is read lies in the images; false where too little of it is left.
   bool crop_window(const cv::Size& from, const Eigen::Vector2d& from_px, const cv::Size& to,
                    const Eigen::Vector2d& to_px, const Eigen::Matrix2d& inverse_map, int window_px);
-  Box template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const;
-  Box search_box(const Eigen::Vector2d& place_px, int margin_px) const;
+  PixelBox template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const;
+  PixelBox search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
   void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map);
   /// Sum of the squares of template_ without those of its noise, which bias a gain by them towards 0.
   double pattern_energy(double noise_variance);
   /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.
-  /// @return sums of the products of what is left of them
+  /// @return sums of the products of what is left of them, for steps between compared pixels
   Eigen::Matrix2d gradients_without_gain(double pattern);
   /// Root mean square of what template_ and patch_ differ by.
   double residual(double gain);
   /// Searches from *place_px; on success patch_ is what the second image shows there, with a margin for derivatives.
   bool search(const cv::Mat& to, const Eigen::Matrix2d& gradients, double pattern, const AlignmentOptions& options,
               Eigen::Vector2d* place_px, double* gain);
+  /// Makes sorted_: the columns of second_, those that are spacing_[0] apart next to each other.
+  void sort_columns();
   void sample_patch(const Eigen::Vector2d& place_px);
   /// Products of the gradients of template_ and patch_, summed up: their noise is independent, and not in the mean.
   Eigen::Matrix2d multiply_gradients_of_both();
@@ -146,14 +133,14 @@ class BlurAligner {
   };
   NoiseShare noise_share(const Path2d& path_px);
 
-  Psf psf_of_first_, psf_of_second_;  // what first and second image are blurred by: the other's path
+  PathPsf psf_of_first_, psf_of_second_;  // what first and second image are blurred by: the other's path
   Region first_, second_;
-  Box window_;  // about the point, in the second image
-  Patch source_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_, difference_;
+  PixelBox window_;                   // about the point, in the second image
+  std::array<int, 2> spacing_{1, 1};  // of the columns and rows of the window that are compared; one of them 1
+  Patch source_, sorted_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_, difference_;
   std::vector<int> offsets_;  // of what is not 0 in a PSF
   std::vector<float> shares_;
-  std::vector<int> pairs_;                 // of a path's instants, by lag; 0 between calls
-  std::vector<std::pair<int, int>> lags_;  // that have pairs
+  std::vector<NoiseLag> lags_;
   const AlignmentSimd& simd_ = select_for_cpu<AlignmentSimd>();
 };
 

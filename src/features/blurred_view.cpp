@@ -73,9 +73,13 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
       (direction_per_px.topRows<2>() - ray_then.head<2>() * direction_per_px.row(2)) / direction.z();
   Eigen::Matrix2d map = near.px_per_ray() * ray_then_per_px;
   if (from.row_time_ns() != 0 || to.row_time_ns() != 0) {
-    map = with_row_times(map, ray, camera, motion, from, place_px.y(), to, rotated->pixel_px.y());
+    const Eigen::Matrix2d by_rows =
+        with_row_times(map, ray, camera, motion, from, place_px.y(), to, rotated->pixel_px.y());
+    if (by_rows.allFinite()) map = by_rows;
   }
-  if (!map.allFinite()) map = identity;
+  // Of a point that moves with the readout the map has no bounds.
+  constexpr double kLargest = 10;
+  if (!(map.norm() < kLargest)) map = identity;
   return {rotated->pixel_px, map, rotated->pixel_px, map, true, near};
 }
 
@@ -147,6 +151,7 @@ PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& 
                                 residual(place_px - step_px, predicted.rotated_px - rotated_step_px)) /
                                (2 * kHalfStepPx);
   }
+  if (!predicted.map.allFinite()) predicted.map = predicted.rotated_map;
   return predicted;
 }
 

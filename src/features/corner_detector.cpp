@@ -3,48 +3,31 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 
 namespace gyro_deblur {
 namespace {
 
-/// Points that keep a distance, found by squares of that side.
-class Spacing {
- public:
-  Spacing(const cv::Size& size, double distance_px)
-      : distance_px_(distance_px),
-        side_px_(std::max(kLeastSidePx, distance_px)),
-        cols_(static_cast<int>(size.width / side_px_) + 1),
-        rows_(static_cast<int>(size.height / side_px_) + 1),
-        points_(static_cast<std::size_t>(cols_ * rows_)) {}
+/// Place in the whole image of the middle of a pixel of half the size, in x or y.
+double full_size(int at) { return 2 * at + 0.5; }
 
-  bool is_free(const Eigen::Vector2d& at_px) const {
-    const int col = col_of(at_px.x()), row = row_of(at_px.y());
-    for (int y = std::max(0, row - 1); y <= std::min(rows_ - 1, row + 1); ++y) {
-      for (int x = std::max(0, col - 1); x <= std::min(cols_ - 1, col + 1); ++x) {
-        for (const Eigen::Vector2d& point_px : points_[static_cast<std::size_t>(y * cols_ + x)]) {
-          if ((point_px - at_px).squaredNorm() < distance_px_ * distance_px_) return false;
-        }
-      }
-    }
-    return true;
+/// Sets the pixels of the image at half the size to 0 that are nearer than `distance_px` to a place in the whole one.
+void clear_around(const Eigen::Vector2d& at_px, double distance_px, cv::Mat1b* half) {
+  // The first row or column that is less than away_px behind the place, and the first that is as far ahead of it.
+  const auto behind = [](double at, double away_px) {
+    return std::max(0, static_cast<int>(std::floor((at - away_px - 0.5) / 2)) + 1);
+  };
+  const auto ahead = [](double at, double away_px, int size) {
+    return std::min(size, static_cast<int>(std::ceil((at + away_px - 0.5) / 2)));
+  };
+  const int end_row = ahead(at_px.y(), distance_px, half->rows);
+  for (int y = behind(at_px.y(), distance_px); y < end_row; ++y) {
+    const double wide_px = std::sqrt(std::max(0.0, std::pow(distance_px, 2) - std::pow(full_size(y) - at_px.y(), 2)));
+    const int first = behind(at_px.x(), wide_px), end = ahead(at_px.x(), wide_px, half->cols);
+    if (first < end) std::fill(half->ptr(y) + first, half->ptr(y) + end, uchar{0});
   }
-  void add(const Eigen::Vector2d& at_px) {
-    points_[static_cast<std::size_t>(row_of(at_px.y()) * cols_ + col_of(at_px.x()))].push_back(at_px);
-  }
-
- private:
-  static constexpr double kLeastSidePx = 8;
-  int col_of(double x_px) const { return std::clamp(static_cast<int>(x_px / side_px_), 0, cols_ - 1); }
-  int row_of(double y_px) const { return std::clamp(static_cast<int>(y_px / side_px_), 0, rows_ - 1); }
-
-  double distance_px_, side_px_;
-  int cols_, rows_;
-  std::vector<std::vector<Eigen::Vector2d>> points_;
-};
-
-/// Pixel of the whole image, of one of half the size.
-Eigen::Vector2d full_size(int x, int y) { return {2 * x + 0.5, 2 * y + 0.5}; }
+}
 
 }  // namespace
 
@@ -94,11 +77,12 @@ std::vector<Eigen::Vector2d> CornerDetector::detect(const cv::Mat& luminance, co
   constexpr int kLeastMargin = 4;
   rate(luminance);
   find_peaks(std::max(kLeastMargin, (request.margin_px + 2) / 2));
-  Spacing spacing(luminance.size(), request.min_distance_px);
-  for (const Eigen::Vector2d& at_px : request.taken) spacing.add(at_px);
+  free_.create(height_, width_);
+  free_.setTo(1);
+  for (const Eigen::Vector2d& at_px : request.taken) clear_around(at_px, request.min_distance_px, &free_);
   const auto may_be = [&](const Peak& peak) {
-    return (request.allowed.empty() || request.allowed.at<uchar>(2 * peak.y, 2 * peak.x) != 0) &&
-           spacing.is_free(full_size(peak.x, peak.y));
+    return free_(peak.y, peak.x) != 0 &&
+           (request.allowed.empty() || request.allowed.at<uchar>(2 * peak.y, 2 * peak.x) != 0);
   };
   peaks_.erase(std::remove_if(peaks_.begin(), peaks_.end(), [&](const Peak& peak) { return !may_be(peak); }),
                peaks_.end());
@@ -115,9 +99,9 @@ std::vector<Eigen::Vector2d> CornerDetector::detect(const cv::Mat& luminance, co
     std::pop_heap(peaks_.begin(), end, is_weaker);
     --end;
     if (!(end->strength > 0) || end->strength < least) break;
-    const Eigen::Vector2d at_px = full_size(end->x, end->y);
-    if (!spacing.is_free(at_px)) continue;
-    spacing.add(at_px);
+    if (free_(end->y, end->x) == 0) continue;
+    const Eigen::Vector2d at_px(full_size(end->x), full_size(end->y));
+    clear_around(at_px, request.min_distance_px, &free_);
     corners.push_back(at_px);
   }
   return corners;

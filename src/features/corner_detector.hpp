@@ -45,6 +45,7 @@ class CornerDetector {
 
   int width_ = 0, height_ = 0;  // of the half image
   Plane half_, strengths_, products_;
+  cv::Mat1b free_;  // of half the size: not 0 where a corner keeps its distance
   std::vector<int> columns_;
   std::vector<Peak> peaks_;
   const CornerSimd& simd_ = select_for_cpu<CornerSimd>();

@@ -25,15 +25,11 @@ bool inside(const Eigen::Vector2d& p, const cv::Size& size) {
   return p.x() >= 0 && p.y() >= 0 && p.x() <= size.width - 1 && p.y() <= size.height - 1;
 }
 
-/// Successive errors of a track are correlated, and its patch sees other depths than its point's: more than their sum.
-/// Fits to simulated flights, see doc/reports/tracks.md.
+/// A patch sees other depths than its point's. A fit to simulated flights, see doc/reports/tracks.md.
 Eigen::Matrix2d published_covariance(const Eigen::Matrix2d& sum_px2) {
-  constexpr double kFactor = 2.5, kFloorPx = 0.06;
-  return kFactor * sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
+  constexpr double kFloorPx = 0.06;
+  return sum_px2 + kFloorPx * kFloorPx * Eigen::Matrix2d::Identity();
 }
-
-/// A template older than this many images is replaced: its view of the patch has changed by then.
-constexpr int kTemplateImages = 10;
 
 }  // namespace
 
@@ -122,9 +118,10 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     }
     track.pixel_px = at_px;
     track.covariance_px2 = published_covariance(state.covariance_px2());
-    const Eigen::Vector2d normalized = camera.normalized(state.ray);
-    track.velocity_1_s = (normalized - track.normalized) / dt_s;
-    track.normalized = normalized;
+    // What takes out drift is no motion.
+    const Eigen::Vector3d found_ray = candidates[i].predicted.near->ray(candidates[i].found->place_px);
+    track.velocity_1_s = (camera.normalized(found_ray) - track.normalized) / dt_s;
+    track.normalized = camera.normalized(state.ray);
     ++track.length;
     if (state.anchor_age >= kTemplateImages) state.anchor_at(view);
     tracks.push_back(track);

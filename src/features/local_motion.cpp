@@ -44,7 +44,6 @@ LocalMotions::LocalMotions(std::vector<DisplacedPoint> points)
   }
 }
 
-/// Indices of at most kNeighbours points, valid until the thread's next call.
 const std::vector<int>& LocalMotions::nearest_to(const Eigen::Vector2d& place_px) const {
   constexpr int kEnough = 14, kMaxSteps = 8;
   thread_local std::vector<int> nearest;

@@ -22,6 +22,7 @@ struct DisplacedPoint {
 /// The motion around any place of an image, by the displaced points near it.
 class LocalMotions {
  public:
+  /// @param points  finite
   explicit LocalMotions(std::vector<DisplacedPoint> points);
 
   /// Plane through the displacements of the nearest points, robust against those of another depth or object. Nothing
@@ -31,6 +32,7 @@ class LocalMotions {
                                 const Eigen::Matrix2d& expected_slope = Eigen::Matrix2d::Zero()) const;
 
  private:
+  /// Indices of at most twelve points, valid until the thread's next call.
   const std::vector<int>& nearest_to(const Eigen::Vector2d& place_px) const;
 
   std::vector<DisplacedPoint> points_;

@@ -21,7 +21,7 @@ Eigen::Vector3d NearbyRays::ray(const Eigen::Vector2d& pixel_px) const {
   Eigen::Vector3d ray = ray_;
   Eigen::Vector2d away_px = pixel_px - pixel_px_;
   double distance_px = away_px.norm();
-  if (distance_px < kDonePx) return ray;
+  if (distance_px < kDonePx && ray.allFinite()) return ray;
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     ray.head<2>() += ray_per_px_ * away_px;
     away_px = pixel_px - camera_->project(ray);

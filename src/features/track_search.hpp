@@ -30,6 +30,9 @@ constexpr int largest_reach_px(int sharp_window_px) {
   return 2 * (half_size_window_px(largest_window_px(sharp_window_px)) / 2) + 1;
 }
 
+/// An older template is replaced after so many images: its view of the patch has changed by then.
+constexpr int kTemplateImages = 10;
+
 /// What is known of a track in the newest image.
 struct TrackState {
   BlurredPoint point;

@@ -58,6 +58,20 @@ TEST_P(AlignmentSimdTest, ConvolveAnyWidth) {
   }
 }
 
+TEST_P(AlignmentSimdTest, SortColumnsOfAnyCount) {
+  for (int count = 1; count <= 40; ++count) {
+    for (const int n : {2, 3}) {
+      const std::vector<float> pixels = random_patch(n * count, 1, false);
+      std::vector<float> sorted(static_cast<std::size_t>(n * count));
+      (n == 2 ? simd_->sort_by_two : simd_->sort_by_three)(pixels.data(), sorted.data(), count);
+      for (int i = 0; i < n * count; ++i) {
+        ASSERT_EQ(sorted[static_cast<std::size_t>(i % n * count + i / n)], pixels[static_cast<std::size_t>(i)])
+            << count;
+      }
+    }
+  }
+}
+
 TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
   // Weights that show their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
   std::vector<float> table(static_cast<std::size_t>((kInterpolationSteps + 1) * kInterpolationStride), 0.0f);

@@ -177,5 +177,23 @@ TEST_F(BlurredViewTest, RotatedMapIsTheJacobianOfWhereItTakesPixels) {
   }
 }
 
+TEST_F(BlurredViewTest, WhereTheMotionEndsWithTheImageTheMapIsThatOfOneInstant) {
+  constexpr TimeNs kReadoutNs = 40'000'000, kEndNs = 100'000'000 + kReadoutNs + kExposureNs;
+  std::vector<GyroSample> samples;
+  for (TimeNs t_ns = 0; t_ns <= kEndNs; t_ns += 5'000'000) samples.push_back({t_ns, {0.5, -0.3, kRollRadS}});
+  const RotationTrack motion(samples, GyroOptions{}, Eigen::Matrix3d::Identity());
+  ShutterTiming timing;
+  timing.exposure_ns = 200'000;
+  timing.readout_ns = kReadoutNs;
+  const RowExposure first(50'000'000, kSize.height, timing), second(kEndNs - kReadoutNs, kSize.height, timing);
+  const Eigen::Vector2d last_px(kPixel.x(), kSize.height - 2.0);
+  const Camera lens = camera();
+  const PredictedPoint predicted =
+      predict_point(last_px, NearbyRays(lens, last_px, lens.ray(last_px)), BlurredView(image_, first, nullptr),
+                    BlurredView(image_, second, nullptr), motion);
+  EXPECT_GT((predicted.rotated_px - last_px).norm(), 1);
+  EXPECT_GT((predicted.rotated_map - Eigen::Matrix2d::Identity()).norm(), 1e-3);
+}
+
 }  // namespace
 }  // namespace gyro_deblur::blurred_view_test

@@ -62,6 +62,10 @@ TEST(CornerDetector, KeepsDistanceMarginAndMask) {
     for (std::size_t k = 0; k < i; ++k) EXPECT_GE((at_px - corners[k]).norm(), 17);
   }
   EXPECT_EQ(detector.detect(image, {5, 17, 21, mask, taken}).size(), 5u);
+  // What was taken before, and what lies on or beyond the edge, does not matter.
+  const std::vector<Eigen::Vector2d> at_edge{{-3.2, 10}, {319.9, 241.7}, {0, 300}};
+  EXPECT_EQ(detector.detect(image, {1000, 16.3, 21, mask, at_edge}),
+            CornerDetector().detect(image, {1000, 16.3, 21, mask, at_edge}));
 }
 
 TEST(CornerDetector, FindsNoneWhereThereIsNone) {
