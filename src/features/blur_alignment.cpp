@@ -126,13 +126,12 @@ void BlurAligner::Patch::resize(int width, int height) {
 void BlurAligner::choose_spacing(const Path2d& first_px, const Path2d& second_px) {
   // Where both blurs are long along an axis, neighbours show nearly the same, and each image's noise is blurred by the
   // other's path: every second or third pixel says as much as all (doc/reports/tracks.md).
-  const Eigen::Vector2f first = extent_of(first_px), second = extent_of(second_px), both = first + second;
-  const int axis = both.x() > both.y() ? 0 : 1;
-  const auto are_long = [&](float least_px, float least_sum_px) {
-    return std::min(first[axis], second[axis]) >= least_px && both[axis] >= least_sum_px;
-  };
+  constexpr float kEverySecondPx = 6, kEveryThirdPx = 12;
+  const Eigen::Vector2f shorter_px = extent_of(first_px).cwiseMin(extent_of(second_px));
+  const std::size_t axis = shorter_px.x() > shorter_px.y() ? 0 : 1;
+  const float extent_px = shorter_px[static_cast<Eigen::Index>(axis)];
   spacing_ = {1, 1};
-  spacing_[static_cast<std::size_t>(axis)] = are_long(6, 20) ? 3 : are_long(3, 8) ? 2 : 1;
+  spacing_[axis] = extent_px >= kEveryThirdPx ? 3 : extent_px >= kEverySecondPx ? 2 : 1;
 }
 
 void BlurAligner::blur(const cv::Mat& image, const PathPsf& psf, const PixelBox& box, Region* blurred) {

@@ -38,8 +38,8 @@ void for_each_sample(const Path2d& path_px, const Eigen::Array2f& origin_px, Add
 }
 
 /// A place between two pixels of a row of `size`: the first, and the share of the second.
-struct Between {
-  Between(float at, Eigen::Index size)
+struct PixelShare {
+  PixelShare(float at, Eigen::Index size)
       : first(std::clamp(static_cast<Eigen::Index>(at), Eigen::Index{0}, size - 2)),
         share(at - static_cast<float>(first)) {}
   Eigen::Index first;
@@ -62,7 +62,7 @@ void rasterize(const Path2d& path_px, PathPsf* psf) {
   const std::optional<int> main = main_axis(path_px);
   if (!main) {
     for_each_sample(path_px, first, [&](const Eigen::Array2f& at, float share) {
-      const Between x(at.x(), shares.cols()), y(at.y(), shares.rows());
+      const PixelShare x(at.x(), shares.cols()), y(at.y(), shares.rows());
       shares(y.first, x.first) += share * (1 - x.share) * (1 - y.share);
       shares(y.first, x.first + 1) += share * x.share * (1 - y.share);
       shares(y.first + 1, x.first) += share * (1 - x.share) * y.share;
@@ -74,7 +74,7 @@ void rasterize(const Path2d& path_px, PathPsf* psf) {
     const Eigen::Index lines = along == 0 ? shares.cols() : shares.rows(), size = shares.size() / lines;
     std::array<float, static_cast<std::size_t>(kMax2dExtentPx) + 3> share_of{}, moment_of{};
     for_each_sample(path_px, first, [&](const Eigen::Array2f& at, float share) {
-      const Between line(at[along], lines);
+      const PixelShare line(at[along], lines);
       for (const auto& [k, part] :
            {std::pair(line.first, share * (1 - line.share)), std::pair(line.first + 1, share * line.share)}) {
         share_of[static_cast<std::size_t>(k)] += part;
@@ -87,7 +87,7 @@ void rasterize(const Path2d& path_px, PathPsf* psf) {
     for (Eigen::Index k = 0; k < lines; ++k) {
       const float share = share_of[static_cast<std::size_t>(k)];
       if (!(share > 0)) continue;
-      const Between place(moment_of[static_cast<std::size_t>(k)] / share, size);
+      const PixelShare place(moment_of[static_cast<std::size_t>(k)] / share, size);
       at(k, place.first) = share * (1 - place.share);
       at(k, place.first + 1) = share * place.share;
     }
@@ -96,8 +96,7 @@ void rasterize(const Path2d& path_px, PathPsf* psf) {
 }
 
 void find_noise_lags(const Path2d& path_px, const std::array<int, 2>& spacing, std::vector<NoiseLag>* lags) {
-  // The first and the last instant stand for half as long as the others.
-  constexpr int kSteps = kPathInstants - 1;
+  constexpr int kSteps = kPathInstants - 1;  // each stands for the same time
   Eigen::Vector2f mean_px = Eigen::Vector2f::Zero();
   for (std::size_t k = 0; k < kSteps; ++k) mean_px += 0.5f / kSteps * (path_px[k] + path_px[k + 1]);
   Eigen::Matrix2f variance_px2 = Eigen::Matrix2f::Zero();
