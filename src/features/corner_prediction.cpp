@@ -6,26 +6,34 @@
 namespace gyro_deblur {
 namespace {
 
-std::optional<Eigen::Vector2d> pixel_of(const Eigen::Vector3d& ray, const Camera& camera, const CameraMotion& motion,
-                                        TimeNs from_ns, TimeNs to_ns) {
-  const auto rotated = rotated_ray(ray, motion, from_ns, to_ns);
-  if (!rotated) return std::nullopt;
-  const Eigen::Vector2d at_px = camera.project(*rotated);
+std::optional<Eigen::Matrix3d> rotation_between(const CameraMotion& motion, TimeNs from_ns, TimeNs to_ns) {
+  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
+  return motion.rotation(from_ns, to_ns);
+}
+
+std::optional<RotatedPixel> pixel_of(const Eigen::Vector3d& ray, const Camera& camera, const CameraMotion& motion,
+                                     TimeNs from_ns, TimeNs to_ns) {
+  const auto rotation = rotation_between(motion, from_ns, to_ns);
+  if (!rotation) return std::nullopt;
+  const Eigen::Vector2d at_px = camera.project(*rotation * ray);
   if (!at_px.allFinite()) return std::nullopt;
-  return at_px;
+  return RotatedPixel{at_px, *rotation};
 }
 
 }  // namespace
 
 std::optional<Eigen::Vector3d> rotated_ray(const Eigen::Vector3d& ray, const CameraMotion& motion, TimeNs from_ns,
                                            TimeNs to_ns) {
-  if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
-  return motion.rotation(from_ns, to_ns) * ray;
+  const auto rotation = rotation_between(motion, from_ns, to_ns);
+  if (!rotation) return std::nullopt;
+  return *rotation * ray;
 }
 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
                                                const CameraMotion& motion, const RowExposure& from, TimeNs to_ns) {
-  return pixel_of(camera.ray(pixel_px), camera, motion, from.middle(pixel_px.y()), to_ns);
+  const auto rotated = pixel_of(camera.ray(pixel_px), camera, motion, from.middle(pixel_px.y()), to_ns);
+  if (!rotated) return std::nullopt;
+  return rotated->pixel_px;
 }
 
 std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, const Camera& camera,
@@ -45,11 +53,10 @@ std::optional<RotatedPixel> rotated_pixel(const Eigen::Vector2d& pixel_px, const
   // The row decides when it is seen, and that decides the row.
   const int iterations = to.timing().readout_ns == 0 ? 1 : 3;
   for (int iteration = 0; iteration < iterations; ++iteration) {
-    const TimeNs to_ns = to.middle(std::clamp(rotated.pixel_px.y(), 0.0, last_row));
-    if (!motion.covers({std::min(from_ns, to_ns), std::max(from_ns, to_ns)})) return std::nullopt;
-    rotated.rotation = motion.rotation(from_ns, to_ns);
-    rotated.pixel_px = camera.project(rotated.rotation * ray);
-    if (!rotated.pixel_px.allFinite()) return std::nullopt;
+    const auto next =
+        pixel_of(ray, camera, motion, from_ns, to.middle(std::clamp(rotated.pixel_px.y(), 0.0, last_row)));
+    if (!next) return std::nullopt;
+    rotated = *next;
   }
   return rotated;
 }
@@ -58,10 +65,10 @@ std::optional<Eigen::Vector2d> mean_offset(const Eigen::Vector2d& pixel_px, cons
                                            const CameraMotion& motion, const RowExposure& exposure) {
   const Eigen::Vector3d ray = camera.ray(pixel_px);
   const TimeNs middle_ns = exposure.middle(pixel_px.y());
-  const auto first_px = pixel_of(ray, camera, motion, middle_ns, exposure.start(pixel_px.y()));
-  const auto last_px = pixel_of(ray, camera, motion, middle_ns, exposure.end(pixel_px.y()));
-  if (!first_px || !last_px) return std::nullopt;
-  return (*first_px + *last_px - 2 * pixel_px) / 6;  // Simpson's rule
+  const auto first = pixel_of(ray, camera, motion, middle_ns, exposure.start(pixel_px.y()));
+  const auto last = pixel_of(ray, camera, motion, middle_ns, exposure.end(pixel_px.y()));
+  if (!first || !last) return std::nullopt;
+  return (first->pixel_px + last->pixel_px - 2 * pixel_px) / 6;  // Simpson's rule
 }
 
 Eigen::Matrix<double, 2, 3> projection_jacobian(const Camera& camera, const Eigen::Vector3d& ray) {

@@ -25,11 +25,12 @@ std::optional<Eigen::Vector2d> predicted_pixel(const Eigen::Vector2d& pixel_px, 
                                                const CameraMotion& motion, const RowExposure& from,
                                                const RowExposure& to);
 
-/// The same of a pixel whose direction is known, and the rotation that takes it there.
+/// Where the camera's rotation takes a direction, and that rotation.
 struct RotatedPixel {
   Eigen::Vector2d pixel_px;
   Eigen::Matrix3d rotation;
 };
+/// As predicted_pixel(), of a pixel whose direction is known.
 std::optional<RotatedPixel> rotated_pixel(const Eigen::Vector2d& pixel_px, const Eigen::Vector3d& ray,
                                           const Camera& camera, const CameraMotion& motion, const RowExposure& from,
                                           const RowExposure& to);
