@@ -42,11 +42,12 @@ struct TrackState;
 /// Follows corners through the raw images of one camera. Not thread-safe.
 ///
 /// A corner is looked for where rotation and residual velocity take it. Its patch in the image before and its patch in
-/// the new image are each blurred by the path of the other, and aligned (features/blur_alignment.hpp). After ten images
-/// the patch of the oldest takes out the drift and is replaced; where blur is short it is used throughout. A corner is
-/// kept when the patches differ by no more than noise explains, and when it agrees with the epipolar geometry of the
-/// others, from which rotation (row by row) has been taken out first. Where no residual velocity is known, the corner's
-/// last deviation from its prediction starts the search, or else Lucas-Kanade over a pyramid.
+/// the new image are each blurred by the path of the other, and aligned (features/blur_alignment.hpp). Every ten images
+/// the patch of the first of them is aligned as well: that takes out drift, and the patch is replaced. Where blur is
+/// short, this patch alone is aligned in each image. A corner is kept when the patches differ by no more than noise
+/// explains, and when it agrees with the epipolar geometry of the others, from which rotation (row by row) has been
+/// taken out first. Where no residual velocity is known, the corner's last deviation from its prediction starts the
+/// search, or else Lucas-Kanade over a pyramid.
 class FeatureTracker {
  public:
   /// Throws OptionError.

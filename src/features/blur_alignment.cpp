@@ -37,7 +37,8 @@ double least_eigenvalue(const Eigen::Matrix2d& symmetric) {
   return 0.5 * (symmetric.trace() - std::hypot(symmetric(0, 0) - symmetric(1, 1), 2 * symmetric(0, 1)));
 }
 
-/// Pixels and paths that a gyroscope in a wrong unit, say, throws far away are nowhere.
+/// False where the prediction is useless: a gyroscope in a wrong unit takes points out of the image, and makes huge
+/// paths.
 bool can_be_aligned(const Eigen::Vector2d& place_px, const Path2d& path_px, const cv::Size& size) {
   const bool is_inside =
       (place_px.array() >= 0).all() && place_px.x() < size.width && place_px.y() < size.height;  // not NaN either
@@ -290,7 +291,7 @@ Eigen::Matrix2d BlurAligner::gradients_without_gain(double pattern) {
 double BlurAligner::residual(double gain) {
   const int width = template_.width(), height = template_.height();
   const float* middle = patch_.row(kPatchMargin) + kPatchMargin;
-  // The patch less the template; the memory behind its rows is not used, and need not be 0.
+  // Less one of its own grey levels, as in sample_template(): squares would leave few digits for the difference.
   difference_.resize(width, height);
   simd_.combine(middle, patch_.stride(), 1, template_.row(0), template_.stride(), static_cast<float>(-gain), -*middle,
                 difference_.row(0), difference_.stride(), width, height);

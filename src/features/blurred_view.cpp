@@ -77,7 +77,7 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
         with_row_times(map, ray, camera, motion, from, place_px.y(), to, rotated->pixel_px.y());
     if (by_rows.allFinite()) map = by_rows;
   }
-  // Of a point that moves with the readout the map has no bounds.
+  // For a point that moves as fast as the readout, the map grows without bounds.
   constexpr double kLargest = 10;
   if (!(map.norm() < kLargest)) map = identity;
   return {rotated->pixel_px, map, rotated->pixel_px, map, true, near};

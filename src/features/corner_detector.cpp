@@ -14,7 +14,7 @@ double full_size(int at) { return 2 * at + 0.5; }
 
 /// Sets the pixels of the image at half the size to 0 that are nearer than `distance_px` to a place in the whole one.
 void clear_around(const Eigen::Vector2d& at_px, double distance_px, cv::Mat1b* half) {
-  // The first row or column that is less than away_px behind the place, and the first that is as far ahead of it.
+  // Rows or columns nearer than away_px to a place: the first of them, and the one after the last.
   const auto behind = [](double at, double away_px) {
     return std::max(0, static_cast<int>(std::floor((at - away_px - 0.5) / 2)) + 1);
   };
@@ -59,7 +59,7 @@ void CornerDetector::rate(const cv::Mat& luminance) {
 
 void CornerDetector::find_peaks(int margin) {
   peaks_.clear();
-  columns_.resize(static_cast<std::size_t>(std::max(0, width_)));
+  columns_.resize(static_cast<std::size_t>(width_));
   for (int y = margin; y < height_ - margin; ++y) {
     const float* strengths = strengths_.row(y);
     const int count = simd_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), margin, width_ - margin,

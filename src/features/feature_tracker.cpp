@@ -118,7 +118,7 @@ void FeatureTracker::follow(const std::shared_ptr<const BlurredView>& view, cons
     }
     track.pixel_px = at_px;
     track.covariance_px2 = published_covariance(state.covariance_px2());
-    // What takes out drift is no motion.
+    // The velocity is that of the place before drift was taken out: the correction is no motion.
     const Eigen::Vector3d found_ray = candidates[i].predicted.near->ray(candidates[i].found->place_px);
     track.velocity_1_s = (camera.normalized(found_ray) - track.normalized) / dt_s;
     track.normalized = camera.normalized(state.ray);

@@ -45,6 +45,7 @@ LocalMotions::LocalMotions(std::vector<DisplacedPoint> points)
 }
 
 const std::vector<int>& LocalMotions::nearest_to(const Eigen::Vector2d& place_px) const {
+  // Two more than are needed: a search for twelve themselves would often end below them.
   constexpr int kEnough = 14, kMaxSteps = 8;
   thread_local std::vector<int> nearest;
   thread_local Eigen::ArrayXf distances_px2;

@@ -10,7 +10,7 @@
 namespace gyro_deblur {
 namespace {
 
-/// The axis along which a path never goes back, and at most as far along the other: 0 or 1; nothing: there is none.
+/// The axis, 0 or 1, along which each step goes forward, and at least as far as along the other; nothing if neither is.
 std::optional<int> main_axis(const Path2d& path_px) {
   const Eigen::Vector2f chord_px = path_px.back() - path_px.front();
   const int axis = std::abs(chord_px.x()) > std::abs(chord_px.y()) ? 0 : 1;

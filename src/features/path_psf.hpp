@@ -30,8 +30,9 @@ struct PathPsf {
   float energy = 0;                                                             ///< sum of the squared shares
 };
 
-/// PSF whose mean is that of the path, to rounding. A path that follows an axis, within 45 degrees, has two pixels in
-/// each row or column across that axis. Others have those of bilinear interpolation.
+/// PSF whose mean is that of the mirrored path, to rounding. A path that follows one axis, within 45 degrees and
+/// without going back, has two pixels in each row or column that it crosses. Each sample of other paths has four
+/// (bilinear).
 /// @param path_px  finite, extents up to kMax2dExtentPx
 void rasterize(const Path2d& path_px, PathPsf* psf);
 

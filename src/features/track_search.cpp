@@ -142,8 +142,8 @@ struct TrackSearch::Thread {
     if (!candidate->by_anchor) state->since_anchor_px2 += until_now_px2;
     state->point.place_px = candidate->found->place_px;
     ++state->anchor_age;
-    // Once, by the template that is about to be replaced: in each image it doubles the cost, and after 10 images drift
-    // is the same (doc/reports/tracks.md).
+    // Once, by the template that is about to be replaced: in each image it takes 1.4 times the time, and drift after 20
+    // images is no smaller (doc/reports/tracks.md).
     if (!candidate->by_anchor && state->anchor_age == kTemplateImages) hold_down_drift(state, candidate);
     state->ray = candidate->predicted.near->ray(state->point.place_px);
     state->point = step.now.point_at(state->point.place_px, state->ray, step.camera, motion);
@@ -210,8 +210,8 @@ void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState
                              std::vector<TrackCandidate>* candidates) {
   // If half of the points were found, the others that residual velocities predict are outside the image or hidden. If
   // nearly all were, so are those that the last motion predicts; a few are not worth both images' pyramids.
-  const auto found =
-      std::count_if(candidates->begin(), candidates->end(), [](const TrackCandidate& each) { return each.found; });
+  const auto found = std::count_if(candidates->begin(), candidates->end(),
+                                   [](const TrackCandidate& each) { return each.found.has_value(); });
   const double share = static_cast<double>(found) / static_cast<double>(std::max<std::size_t>(1, states.size()));
   constexpr double kMost = 0.5, kNearlyAll = 0.9;
   std::vector<std::size_t> open;

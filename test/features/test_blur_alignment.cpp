@@ -294,7 +294,7 @@ TEST_F(BlurAlignmentTest, WhatCameBeforeDoesNotMatter) {
   const Eigen::Matrix2d map = second_.map * first_.map.inverse();
   int found = 0;
   for (const double angle_rad : {0.1, CV_PI / 2}) {
-    for (const double extent_px : {40.0, 0.0, 6.0, 15.0}) {  // every third pixel, all, every second, every third
+    for (const double extent_px : {40.0, 0.0, 6.0, 15.0}) {  // every third pixel, all, all, every second
       first_.path_px = straight_path(extent_px, angle_rad);
       second_.path_px = straight_path(0.75 * extent_px, angle_rad + 0.3);
       const cv::Mat from = exposed(texture_.seen_by(first_, kSize, contrast_), 2, 11),

@@ -65,7 +65,7 @@ TEST(CornerDetector, KeepsDistanceMarginAndMask) {
   // What was taken before, and what lies on or beyond the edge, does not matter.
   const std::vector<Eigen::Vector2d> at_edge{{-3.2, 10}, {319.9, 241.7}, {0, 300}};
   EXPECT_EQ(detector.detect(image, {1000, 16.3, 21, mask, at_edge}),
-            CornerDetector().detect(image, {1000, 16.3, 21, mask, at_edge}));
+            CornerDetector().detect(image, {1000, 16.3, 21, mask, kNone}));
 }
 
 TEST(CornerDetector, FindsNoneWhereThereIsNone) {
