@@ -18,6 +18,9 @@ namespace {
 /// Integers up to here are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
 constexpr std::int32_t kIds = 1 << 24;
 
+// As in VINS-Mono's tracker.
+constexpr int kLevels = 3;
+constexpr double kMaxRoundTripPx = 1;
 /// Of the strongest corner's smaller eigenvalue; VINS-Mono has 0.01 as well.
 constexpr double kCornerQuality = 0.01;
 
@@ -39,7 +42,7 @@ LkTracker::LkTracker(const TrackerOptions& options) : options_(options) { option
 
 const std::vector<Track>& LkTracker::track(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure) {
-  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, options_.window_px, options_.levels);
+  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, options_.window_px, kLevels);
   if (exposure_) follow(pyramid, camera, motion, exposure);
   add_corners(luminance, camera);
   pyramid_ = std::move(pyramid);
@@ -59,9 +62,9 @@ void LkTracker::follow(const std::vector<cv::Mat>& pyramid, const Camera& camera
   }
   const FollowedCorners corners = follow_there_and_back(
       pyramid_, pyramid, before, start,
-      {options_.window_px, options_.levels,
+      {options_.window_px, kLevels,
        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.01),  // OpenCV's defaults
-       options_.max_round_trip_px});
+       kMaxRoundTripPx});
   const std::vector<cv::Point2f>& after = corners.places;
 
   const double dt_s = to_seconds(exposure.start(0) - exposure_->start(0));

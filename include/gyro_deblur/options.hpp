@@ -104,11 +104,9 @@ struct TrackerOptions {
   /// Constant: distance from the image's edge within which no track starts, at most a quarter of the image's height or
   /// width. Tracks are followed to the edge itself.
   int border_px = 32;
-  double min_distance_px = 30;     ///< between two tracks
-  double max_round_trip_px = 1.0;  ///< constant: how far from its start a corner may end up when tracked back
-  double max_epipolar_px = 1.0;    ///< constant: distance from the epipolar line
-  int window_px = 21;              ///< constant, odd: side of the compared window, up to twice as much in blur
-  int levels = 3;                  ///< constant: halvings of the image
+  double min_distance_px = 30;   ///< between two tracks
+  double max_epipolar_px = 1.0;  ///< constant: distance from the epipolar line
+  int window_px = 21;            ///< constant, odd: side of the compared window, up to twice as much in blur
 
   void validate() const;  ///< throws OptionError
 };

@@ -160,12 +160,9 @@ void visit(Table<TrackerOptions>, V&& visitor) {
            "Nearer to the edge a shake takes most corners out again within a few images (doc/reports/slam.md).",
            Change::NEVER},
           &O::border_px);
-  visitor({"track_max_round_trip", within(0.05, 10, "px"), "As in VINS-Mono's tracker.", Change::NEVER},
-          &O::max_round_trip_px);
   visitor({"track_max_epipolar", within(0.1, 20, "px"), "As in VINS-Mono's tracker.", Change::NEVER},
           &O::max_epipolar_px);
   visitor({"track_window", kTrackWindows, "As in VINS-Mono's tracker.", Change::NEVER}, &O::window_px);
-  visitor({"track_levels", within(0, 6), "As in VINS-Mono's tracker.", Change::NEVER}, &O::levels);
 }
 
 template <typename V>

@@ -27,6 +27,25 @@ cv::Mat downsample2x(const cv::Mat& image, int threads) {
   return half;
 }
 
+// These values left the smallest error of optical flow on recorded flights (experiments/optical_flow).
+SearchImage search_image(const cv::Mat& luminance, int threads) {
+  constexpr int kLargestWidthPx = 250;
+  SearchImage image;
+  cv::Mat small = luminance;
+  for (; small.cols > kLargestWidthPx; image.scale *= 2) small = downsample2x(small, threads);
+  image.pyramid = corner_pyramid(small, kSearchWindowPx, kSearchLevels);
+  return image;
+}
+
+CornerSearch corner_search() {
+  constexpr int kIterations = 6;
+  constexpr double kLeastStepPx = 0.03;  // corners are less accurate there
+  constexpr double kMaxRoundTripPx = 0.4;
+  return {kSearchWindowPx, kSearchLevels,
+          cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kIterations, kLeastStepPx),
+          kMaxRoundTripPx};
+}
+
 cv::Mat shrink_mask(const cv::Mat& used, const cv::Size& size, int window_px) {
   constexpr int kWholly = 255;
   cv::Mat share, usable;

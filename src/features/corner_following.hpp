@@ -19,6 +19,21 @@ struct CornerSearch {
 /// @param threads  at most; 0: one for each core
 cv::Mat downsample2x(const cv::Mat& image, int threads);
 
+/// An image that corners are searched in: halved until it is no wider than 250 px. In a larger one blur is longer, and
+/// the search takes longer.
+struct SearchImage {
+  double scale = 1;              ///< pixels of the whole image in one of it; a power of 2
+  std::vector<cv::Mat> pyramid;  ///< of corner_pyramid()
+};
+
+/// @param luminance  CV_8UC1
+/// @param threads    at most; 0: one for each core
+SearchImage search_image(const cv::Mat& luminance, int threads);
+
+/// How corners are searched in a SearchImage.
+constexpr int kSearchWindowPx = 9, kSearchLevels = 2;
+CornerSearch corner_search();
+
 /// Where a corner of a smaller image may be: 255, so that no masked pixel is in its window, else 0.
 /// @param used  of a PixelMask
 /// @param size  of the smaller image

@@ -13,7 +13,6 @@
 #include "base/median.hpp"
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
-#include "features/corner_following.hpp"
 #include "features/corner_prediction.hpp"
 #include "features/scene_change.hpp"
 #include "features/velocity_plane.hpp"
@@ -21,12 +20,10 @@
 namespace gyro_deblur {
 namespace {
 
-// How corners are followed. Lengths are pixels of the image halved until it is no wider than kLargestWidthPx. The
-// values left the smallest error on recorded flights (experiments/optical_flow); in a larger image blur is longer.
-constexpr int kLargestWidthPx = 250, kWindowPx = 9, kLevels = 2, kSearchIterations = 6;
+// Lengths are pixels of a SearchImage. The values left the smallest error on recorded flights
+// (experiments/optical_flow).
 constexpr int kCellPx = 16, kCornersOfCell = 4;  // at most so many in a cell
 constexpr double kMinDistancePx = 6;
-constexpr double kMaxRoundTripPx = 0.4;      // how far from its start a corner may end up when followed back
 constexpr std::size_t kCornersOfPlane = 20;  // that a block's velocity is a plane through
 constexpr int kIterationsOfPlane = 3;
 /// A velocity that differs from the scene's is that of an object: this difference, times the distance from where it is
@@ -35,8 +32,6 @@ constexpr double kObjectReachPx = 48;
 constexpr double kSlopePrior = 0.02;  // how many corners at the farthest neighbour's distance speak for no slope
 
 constexpr double kCornerQuality = 0.01;
-/// The search stops below this step, in the smaller image: corners are less accurate there.
-constexpr double kLeastStepPx = 0.03;
 /// Over a longer time a mean velocity is no measure of the velocity within an exposure.
 constexpr TimeNs kLongestStepNs = 250'000'000;
 /// Error of Lucas-Kanade on blurred frames where all neighbours agree, in the smaller image [px].
@@ -60,7 +55,7 @@ std::uint64_t distance_key(float distance_px2, std::size_t index) {
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size) {
-  constexpr float kHalfPx = kWindowPx / 2;
+  constexpr float kHalfPx = kSearchWindowPx / 2;
   return p.x >= kHalfPx && p.y >= kHalfPx && p.x <= static_cast<float>(size.width - 1) - kHalfPx &&
          p.y <= static_cast<float>(size.height - 1) - kHalfPx;
 }
@@ -79,7 +74,7 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat&
   cv::Mat strength, largest;
   cv::cornerMinEigenVal(image, strength, kNeighbourhoodPx);
   cv::dilate(strength, largest, cv::Mat());
-  constexpr int kHalfPx = kWindowPx / 2;
+  constexpr int kHalfPx = kSearchWindowPx / 2;
   const cv::Rect with_window(kHalfPx, kHalfPx, image.cols - 2 * kHalfPx, image.rows - 2 * kHalfPx);
   std::vector<cv::Point2f> corners;
   std::vector<std::pair<float, cv::Point2f>> candidates;
@@ -201,15 +196,14 @@ ResidualField ResidualFlow::follow(const cv::Mat& luminance, const Camera& camer
 
 bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camera& camera, const CameraMotion& motion,
                                            const RowExposure& exposure, const BlockGrid& grid, int threads) {
-  cv::Mat small = luminance;
-  for (scale_ = 1; small.cols > kLargestWidthPx; scale_ *= 2) small = downsample2x(small, threads);
+  SearchImage image = search_image(luminance, threads);
+  const cv::Mat& small = image.pyramid.front();
   if (!mask_.empty() && usable_.size() != small.size()) {
     // Each halving smooths over two pixels to either side.
     constexpr int kSmoothedPx = 2;
-    usable_ = shrink_mask(mask_.pixels(), small.size(), kWindowPx + 2 * kSmoothedPx);
+    usable_ = shrink_mask(mask_.pixels(), small.size(), kSearchWindowPx + 2 * kSmoothedPx);
   }
-  std::vector<cv::Mat> pyramid = corner_pyramid(small, kWindowPx, kLevels);
-  const bool follows = exposure_ && !corners_.empty() && pyramid_.front().size() == pyramid.front().size();
+  const bool follows = exposure_ && !corners_.empty() && image_.pyramid.front().size() == small.size();
   if (!follows) corners_.clear();
   constexpr std::ptrdiff_t kCornersAtATime = 32;
   const auto count = static_cast<std::ptrdiff_t>(corners_.size());
@@ -223,7 +217,7 @@ bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camer
     }
     const std::ptrdiff_t begin = (i - 1) * kCornersAtATime, end = std::min(begin + kCornersAtATime, count);
     parts[i - 1] =
-        follow_corners({corners_.begin() + begin, corners_.begin() + end}, pyramid, camera, motion, exposure, grid);
+        follow_corners({corners_.begin() + begin, corners_.begin() + end}, image, camera, motion, exposure, grid);
   });
   samples_.clear();
   std::size_t searched = 0;
@@ -233,7 +227,7 @@ bool ResidualFlow::follow_and_find_corners(const cv::Mat& luminance, const Camer
   }
   if (static_cast<double>(samples_.size()) < kLeastFollowed * static_cast<double>(searched)) samples_.clear();
   corners_ = std::move(corners);
-  pyramid_ = std::move(pyramid);
+  image_ = std::move(image);
   return follows;
 }
 
@@ -311,12 +305,11 @@ std::optional<Eigen::Vector2d> ResidualFlow::velocity_before(int block, const Re
   return rotated_px_s;
 }
 
-ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Point2f>& part,
-                                                        const std::vector<cv::Mat>& pyramid, const Camera& camera,
-                                                        const CameraMotion& motion, const RowExposure& exposure,
-                                                        const BlockGrid& grid) const {
-  const cv::Size size = pyramid.front().size();
-  const auto scale = static_cast<float>(scale_);
+ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Point2f>& part, const SearchImage& image,
+                                                        const Camera& camera, const CameraMotion& motion,
+                                                        const RowExposure& exposure, const BlockGrid& grid) const {
+  const cv::Size size = image.pyramid.front().size();
+  const auto scale = static_cast<float>(image.scale);
   std::vector<cv::Point2f> before, start;
   for (const cv::Point2f& corner : part) {
     auto at = predicted_pixel({scale * corner.x, scale * corner.y}, camera, motion, *exposure_, exposure);
@@ -330,11 +323,7 @@ ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Po
     before.push_back(corner);
     start.push_back(start_px);
   }
-  const CornerSearch search{
-      kWindowPx, kLevels,
-      cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kSearchIterations, kLeastStepPx),
-      kMaxRoundTripPx};
-  const FollowedCorners corners = follow_there_and_back(pyramid_, pyramid, before, start, search);
+  const FollowedCorners corners = follow_there_and_back(image_.pyramid, image.pyramid, before, start, corner_search());
   const std::vector<cv::Point2f>& after = corners.places;
   FollowedPart followed{before.size(), {}};
   for (std::size_t i = 0; i < after.size(); ++i) {
@@ -361,7 +350,7 @@ ResidualFlow::FollowedPart ResidualFlow::follow_corners(const std::vector<cv::Po
 ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) const {
   ResidualField velocities(static_cast<std::size_t>(grid.size()));
   if (samples_.size() < kCornersOfPlane) return velocities;
-  const double floor_px_s = scale_ * kFloorPx / to_seconds(samples_.front().since_ns);
+  const double floor_px_s = image_.scale * kFloorPx / to_seconds(samples_.front().since_ns);
   NearbyVelocities everywhere;
   everywhere.resize(samples_.size());
   for (std::size_t k = 0; k < samples_.size(); ++k) everywhere.set(k, samples_[k].pixel_px, samples_[k].velocity_px_s);
@@ -389,7 +378,7 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
       const VelocityPlane plane = fit_plane(nearest, kIterationsOfPlane, kSlopePrior);
       const Eigen::Vector2d velocity_px_s = plane.at(Eigen::Vector2d::Zero());
       const double from_scene_px_s = (velocity_px_s - scene.at(center_px)).norm();
-      const double uncertainty_px_s = from_scene_px_s * seen_from_px(plane, nearest) / (scale_ * kObjectReachPx);
+      const double uncertainty_px_s = from_scene_px_s * seen_from_px(plane, nearest) / (image_.scale * kObjectReachPx);
       velocities[static_cast<std::size_t>(i)] = {velocity_px_s,
                                                  std::hypot(plane.stddev_px_s, floor_px_s, uncertainty_px_s)};
     }

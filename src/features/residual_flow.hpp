@@ -9,6 +9,7 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "features/corner_following.hpp"
 #include "features/inertial_change.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -74,9 +75,8 @@ class ResidualFlow {
     std::vector<Sample> samples;
   };
   /// @param part  of corners_
-  FollowedPart follow_corners(const std::vector<cv::Point2f>& part, const std::vector<cv::Mat>& pyramid,
-                              const Camera& camera, const CameraMotion& motion, const RowExposure& exposure,
-                              const BlockGrid& grid) const;
+  FollowedPart follow_corners(const std::vector<cv::Point2f>& part, const SearchImage& image, const Camera& camera,
+                              const CameraMotion& motion, const RowExposure& exposure, const BlockGrid& grid) const;
   /// What the image before had for the velocity of what a block shows now, as it would be seen now; nothing where that
   /// is not known.
   /// @param mean  of the block, since the image before
@@ -94,9 +94,8 @@ class ResidualFlow {
 
   PixelMask mask_;
   cv::Mat usable_;                    // smaller: 255 where a corner may be; empty: everywhere, or not worked out yet
-  std::vector<cv::Mat> pyramid_;      // of the newest image, smaller
+  SearchImage image_;                 // the newest
   std::vector<cv::Point2f> corners_;  // of it, in its pixels
-  double scale_ = 1;                  // pixels of the image in one of it
   std::optional<RowExposure> exposure_;
   std::vector<Sample> samples_;
   ResidualField means_;   // since the image before

@@ -191,17 +191,9 @@ TEST(ParseConfig, ReportsKeysItDoesNotKnow) {
 
 TEST(ParseConfig, NamesTheValuesOfConstants) {
   const std::vector<std::pair<std::string, std::string>> constants{
-      {"tau", "6 grey levels / px"},
-      {"tau_contrast", "200 grey levels"},
-      {"validation_false_accept_rate", "0.1"},
-      {"filter_length_factor", "4"},
-      {"gyro_buffer_duration", "5 s"},
-      {"time_jump_threshold", "0.5 s"},
-      {"track_border", "32 px"},
-      {"track_max_round_trip", "1 px"},
-      {"track_max_epipolar", "1 px"},
-      {"track_window", "21 px"},
-      {"track_levels", "3"},
+      {"tau", "6 grey levels / px"}, {"tau_contrast", "200 grey levels"}, {"validation_false_accept_rate", "0.1"},
+      {"filter_length_factor", "4"}, {"gyro_buffer_duration", "5 s"},     {"time_jump_threshold", "0.5 s"},
+      {"track_border", "32 px"},     {"track_max_epipolar", "1 px"},      {"track_window", "21 px"},
   };
   for (const auto& [key, value] : constants) {
     std::vector<std::string> unknown;

@@ -65,10 +65,8 @@ TEST(Options, TrackerLimits) {
   expect_limits(&O::max_tracks, "max_tracks", {8, 10000}, {7, 10001});
   expect_limits(&O::min_distance_px, "track_min_distance", {2.0, 500.0}, {1.999, 500.001, kNan});
   expect_limits(&O::border_px, "track_border", {0, 500}, {-1, 501});
-  expect_limits(&O::max_round_trip_px, "track_max_round_trip", {0.05, 10.0}, {0.0499, 10.001, kNan});
   expect_limits(&O::max_epipolar_px, "track_max_epipolar", {0.1, 20.0}, {0.0999, 20.001, kNan});
   expect_limits(&O::window_px, "track_window", {5, 21, 101}, {3, 20, 103});
-  expect_limits(&O::levels, "track_levels", {0, 6}, {-1, 7});
 }
 
 TEST(Options, TimeJumpLimits) {

@@ -180,7 +180,6 @@ TEST_F(LongBlurTrackerTest, ThreadsFindTheSame) {
 }
 
 TEST_F(FeatureTrackerTest, TheGyroscopesPredictionIsWhatMakesItSo) {
-  options_.levels = 0;  // the search itself reaches no further than its window then
   const Run right = run(motion_), reversed = run(rotation(-1));
   EXPECT_GT(right.followed, 200u);
   EXPECT_LT(reversed.followed - reversed.wrong, right.followed / 2);
