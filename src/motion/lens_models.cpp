@@ -99,8 +99,10 @@ double invert(const RadialCurve& curve, double limit, double target,
   for (int iteration = 0; iteration < 100; ++iteration) {
     const ValueAndSlope point = curve.at(u);
     const double error = point.value - target;
-    (error < 0 ? low : high) = u;
     double next = u - error / point.slope;
+    // Rounding may lead the last step out of the bracket: bisection would begin again from the bracket's other end.
+    if (std::abs(next - u) <= done * u) return std::clamp(next, low, high);
+    (error < 0 ? low : high) = u;
     if (!(next > low && next < high)) next = 0.5 * (low + high);
     const double step = std::abs(next - u);
     u = next;

@@ -248,6 +248,17 @@ TEST(LensModels, EndWhereTheirCurvesFoldBack) {
   EXPECT_NEAR(max_angle_rad("ds", {-0.6, 0}), std::acos(0.6), 1e-9);
 }
 
+// Newton's first step leads from such a point to itself.
+TEST(LensModels, AnIdealLensGivesBackThePointItself) {
+  for (const char* name : {"none", "plumb_bob", "rational_polynomial"}) {
+    const auto lens = make_lens(lens_model(name), {});
+    for (const Eigen::Vector2d& point :
+         {Eigen::Vector2d(0.3, -0.7), Eigen::Vector2d(1e-3, 0.2), Eigen::Vector2d(5, 3)}) {
+      EXPECT_EQ(lens->unproject(point, kFocalPx), point) << name;
+    }
+  }
+}
+
 // In pixels, over the valid range, for rays of any length and in all directions from the axis.
 TEST(LensModels, AgreeWithTheirPublishedDefinitions) {
   constexpr double kTolerancePx = 1e-8;
