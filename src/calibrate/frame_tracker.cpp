@@ -1,108 +1,44 @@
-// Tracks points through a few frames and rejects those that do not move with their neighbours.
+// Tracks points through a few frames and rejects those that do not look as they did in the first.
 #include "calibrate/frame_tracker.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 
-#include <opencv2/imgproc.hpp>
-
 #include "base/require_range.hpp"
+#include "blur/image_noise.hpp"
 #include "features/corner_following.hpp"
+#include "features/local_motion.hpp"
 
 namespace gyro_deblur {
 namespace {
 
-constexpr int kPatchPx = 21;
-/// With the window above, steps of about 300 px from frame to frame are followed.
-constexpr int kPyramidLevels = 4;
 /// Frames that a window has at most.
 constexpr std::size_t kWindowFrames = 4;
-/// How far from its start a point may end up when followed back.
-constexpr double kMaxReturnPx = 0.3;
 
-const cv::TermCriteria& until() {
-  static const cv::TermCriteria criteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.003);
-  return criteria;
+/// From frame to frame. With four halvings steps of about 300 px are followed.
+CornerSearch search_to_next_frame() {
+  constexpr int kHalvings = 4, kMaxIterations = 30;
+  constexpr double kEnoughPx = 0.05;  // an alignment follows
+  constexpr double kMaxRoundTripPx = 0.3;
+  return {AlignmentOptions{}.window_px, kHalvings,
+          cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, kMaxIterations, kEnoughPx),
+          kMaxRoundTripPx};
 }
 
-/// How the surroundings of each point are distorted between two frames: the affine map that fits its neighbours best.
-std::vector<cv::Matx22d> local_distortions(const std::vector<cv::Point2f>& from, const std::vector<cv::Point2f>& to) {
-  constexpr std::size_t kNeighbours = 12, kFewest = 6;
-  constexpr double kMostDistortion = 0.5;
-  std::vector<cv::Matx22d> distortions(from.size(), cv::Matx22d::eye());
-  std::vector<std::size_t> order(from.size());
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    const std::size_t count = std::min(kNeighbours + 1, order.size());
-    if (count < kFewest + 1) continue;
-    std::partial_sort(
-        order.begin(), order.begin() + static_cast<std::ptrdiff_t>(count), order.end(),
-        [&](std::size_t a, std::size_t b) { return cv::norm(from[a] - from[i]) < cv::norm(from[b] - from[i]); });
-    cv::Point2d from_mean, to_mean;
-    for (std::size_t k = 0; k < count; ++k) {
-      from_mean += cv::Point2d(from[order[k]]) / static_cast<double>(count);
-      to_mean += cv::Point2d(to[order[k]]) / static_cast<double>(count);
-    }
-    cv::Matx22d moment = cv::Matx22d::zeros(), cross = cv::Matx22d::zeros();
-    for (std::size_t k = 0; k < count; ++k) {
-      const cv::Point2d a = cv::Point2d(from[order[k]]) - from_mean, b = cv::Point2d(to[order[k]]) - to_mean;
-      moment += cv::Matx22d(a.x * a.x, a.x * a.y, a.x * a.y, a.y * a.y);
-      cross += cv::Matx22d(b.x * a.x, b.x * a.y, b.y * a.x, b.y * a.y);
-    }
-    bool invertible = false;
-    const cv::Matx22d A = cross * moment.inv(cv::DECOMP_LU, &invertible);
-    if (invertible && cv::norm(A - cv::Matx22d::eye()) < kMostDistortion) distortions[i] = A;
-  }
-  return distortions;
-}
+Eigen::Vector2d to_eigen(const cv::Point2f& p) { return {p.x, p.y}; }
+cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()), static_cast<float>(p.y())}; }
 
-/// Half of the side of a tile of a mosaic: the window, and room to move.
-constexpr int kTileReach = 16;
-constexpr int kTile = 2 * kTileReach + 1;
-
-/// The distorted surroundings of all points, side by side.
-cv::Mat mosaic(const cv::Mat& image, const std::vector<cv::Point2f>& points,
-               const std::vector<cv::Matx22d>& distortions) {
-  const int rows = kTile * static_cast<int>(points.size());
-  cv::Mat map_x(rows, kTile, CV_32F), map_y(rows, kTile, CV_32F), result;
-  for (int y = 0; y < rows; ++y) {
-    const auto i = static_cast<std::size_t>(y / kTile);
-    for (int x = 0; x < kTile; ++x) {
-      const cv::Vec2d offset =
-          distortions[i] * cv::Vec2d(static_cast<double>(x) - kTileReach, static_cast<double>(y % kTile) - kTileReach);
-      map_x.at<float>(y, x) = points[i].x + static_cast<float>(offset[0]);
-      map_y.at<float>(y, x) = points[i].y + static_cast<float>(offset[1]);
-    }
+/// Path of a point that moves uniformly, as it does nearly during an exposure.
+Path2d path_during(const FrameTime& frame, const Eigen::Vector2d& velocity_px_s) {
+  const Eigen::Vector2d length_px = to_seconds(frame.exposure_ns) * velocity_px_s;
+  Path2d path_px;
+  for (int k = 0; k < kPathInstants; ++k) {
+    path_px[k] = ((static_cast<double>(k) / (kPathInstants - 1) - 0.5) * length_px).cast<float>();
   }
-  cv::remap(image, result, map_x, map_y, cv::INTER_CUBIC, cv::BORDER_REFLECT_101);
-  return result;
-}
-
-/// Moves the points to where their surroundings fit best, distortion allowed for: without that, a patch that rotates or
-/// grows pulls its point along, and all points of a surface in the same way.
-/// @param to  [in] where they are to within some pixels [out]
-std::vector<char> align(const cv::Mat& from_image, const cv::Mat& to_image, const std::vector<cv::Point2f>& from,
-                        std::vector<cv::Point2f>* to) {
-  if (from.empty()) return {};
-  const std::vector<cv::Matx22d> distortions = local_distortions(from, *to);
-  const std::vector<cv::Matx22d> none(from.size(), cv::Matx22d::eye());
-  const cv::Mat from_tiles = mosaic(from_image, from, none), to_tiles = mosaic(to_image, *to, distortions);
-  std::vector<cv::Point2f> centers;
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    centers.emplace_back(static_cast<float>(kTileReach), static_cast<float>(kTile * static_cast<int>(i) + kTileReach));
-  }
-  FollowedCorners followed =
-      follow_there_and_back(corner_pyramid(from_tiles, kPatchPx, 0), corner_pyramid(to_tiles, kPatchPx, 0), centers,
-                            centers, {kPatchPx, 0, until(), kMaxReturnPx});
-  for (std::size_t i = 0; i < from.size(); ++i) {
-    const cv::Point2f& found = followed.places[i];
-    const cv::Vec2d moved = distortions[i] * cv::Vec2d(found.x - centers[i].x, found.y - centers[i].y);
-    (*to)[i] += cv::Point2f(static_cast<float>(moved[0]), static_cast<float>(moved[1]));
-  }
-  return std::move(followed.found);
+  return path_px;
 }
 
 }  // namespace
@@ -116,70 +52,79 @@ void FrameTracker::add(const FrameTime& time, const cv::Mat& luminance) {
     throw std::invalid_argument("FrameTracker: frames have to be CV_8UC1 and of one size");
   }
   size_ = luminance.size();
-  std::vector<cv::Mat> pyramid = corner_pyramid(luminance, kPatchPx, kPyramidLevels);
+  const CornerSearch search = search_to_next_frame();
+  Frame frame{time, corner_pyramid(luminance, search.window_px, search.levels),
+              std::max(kRoundingNoise, image_noise(luminance, PixelLayout::GRAY).value_or(kRoundingNoise))};
   for (Anchor& anchor : growing_) {
     windows_[anchor.window].frames.push_back(time);
-    follow(&anchor, pyramid, luminance.size());
+    follow(frame, &anchor);
   }
   if (!growing_.empty() && windows_[growing_.front().window].frames.size() >= kWindowFrames) growing_.pop_front();
-  start(time, luminance, pyramid);
-  previous_ = std::move(pyramid);
+  start(frame);
+  previous_ = std::move(frame);
 }
 
-void FrameTracker::start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid) {
-  constexpr double kQuality = 0.01;
+void FrameTracker::start(const Frame& frame) {
   // Spread over the image: rows are what a rolling shutter is seen in.
-  const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(luminance.total()) / max_points_);
-  Anchor anchor{windows_.size(), pyramid, {}, {}, {}};
-  cv::goodFeaturesToTrack(luminance, anchor.points, max_points_, kQuality, min_distance_px);
+  const double min_distance_px = 0.5 * std::sqrt(static_cast<double>(size_.area()) / max_points_);
+  Anchor anchor{windows_.size(), frame.pyramid.front(), {}};
   TrackWindow window;
-  window.frames = {time};
-  if (!anchor.points.empty()) cv::cornerSubPix(luminance, anchor.points, cv::Size(3, 3), cv::Size(-1, -1), until());
-  for (const cv::Point2f& point : anchor.points) {
-    anchor.tracks.push_back(window.tracks.size());
-    window.tracks.push_back({Eigen::Vector2d(point.x, point.y)});
+  window.frames = {frame.time};
+  const int margin_px = AlignmentOptions{}.window_px / 2;
+  for (const Eigen::Vector2d& corner_px :
+       detector_.detect(anchor.image, {max_points_, min_distance_px, margin_px, cv::Mat(), {}})) {
+    anchor.points.push_back({window.tracks.size(), {corner_px, still_path(), frame.noise}, to_cv(corner_px)});
+    window.tracks.push_back({corner_px});
   }
-  anchor.last = anchor.points;
   windows_.push_back(std::move(window));
   growing_.push_back(std::move(anchor));
 }
 
-void FrameTracker::follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size) {
-  const auto keep = [anchor](const std::vector<char>& good, std::vector<cv::Point2f>* to) {
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < good.size(); ++i) {
-      if (!good[i]) continue;
-      anchor->points[kept] = anchor->points[i];
-      anchor->tracks[kept] = anchor->tracks[i];
-      (*to)[kept] = (*to)[i];
-      ++kept;
+void FrameTracker::follow(const Frame& frame, Anchor* anchor) {
+  TrackWindow& window = windows_[anchor->window];
+  const double step_s = to_seconds(frame.time.stamp_ns - previous_.time.stamp_ns);
+  std::vector<cv::Point2f> last_px;
+  for (const Point& point : anchor->points) last_px.push_back(point.last_px);
+  const FollowedCorners followed =
+      follow_there_and_back(previous_.pyramid, frame.pyramid, last_px, last_px, search_to_next_frame());
+  std::vector<DisplacedPoint> displaced;
+  for (std::size_t i = 0; i < last_px.size(); ++i) {
+    if (!followed.found[i]) continue;
+    const Eigen::Vector2d& from_px = anchor->points[i].in_first.place_px;
+    displaced.push_back({from_px, to_eigen(followed.places[i]) - from_px});
+  }
+  const LocalMotions motions(std::move(displaced));
+  std::vector<Point> points;
+  for (std::size_t i = 0; i < last_px.size(); ++i) {
+    if (!followed.found[i]) continue;
+    Point point = anchor->points[i];
+    const Eigen::Vector2d start_px = to_eigen(followed.places[i]),
+                          velocity_px_s = (start_px - to_eigen(last_px[i])) / step_s;
+    if (window.frames.size() == 2) point.velocity_px_s = velocity_px_s;
+    // A velocity between two frames is that halfway.
+    const Eigen::Vector2d half_change_px_s = 0.5 * (velocity_px_s - point.velocity_px_s);
+    if (window.frames.size() <= 3) {
+      point.in_first.path_px = path_during(window.frames.front(), point.velocity_px_s - half_change_px_s);
     }
-    anchor->points.resize(kept);
-    anchor->tracks.resize(kept);
-    to->resize(kept);
-  };
-  FollowedCorners followed = follow_there_and_back(previous_, pyramid, anchor->last, anchor->last,
-                                                   {kPatchPx, kPyramidLevels, until(), kMaxReturnPx});
-  std::vector<cv::Point2f>& to = followed.places;
-  keep(followed.found, &to);
-  std::vector<char> good = align(anchor->pyramid[0], pyramid[0], anchor->points, &to);
-  // What is beyond the border is made up.
-  const int reach = kPatchPx / 2;
-  const cv::Rect2f inside(static_cast<float>(reach), static_cast<float>(reach),
-                          static_cast<float>(size.width - 2 * reach), static_cast<float>(size.height - 2 * reach));
-  for (std::size_t i = 0; i < to.size(); ++i) {
-    good[i] = good[i] && inside.contains(anchor->points[i]) && inside.contains(to[i]);
+    const BlurredPoint in_this{start_px, path_during(frame.time, velocity_px_s + half_change_px_s), frame.noise};
+    point.velocity_px_s = velocity_px_s;
+    // Without the distortion a patch that rotates or grows pulls its point along, and all points of a surface in the
+    // same way.
+    const Eigen::Matrix2d map =
+        Eigen::Matrix2d::Identity() + motions.at(point.in_first.place_px).value_or(LocalMotion{}).slope;
+    const std::optional<Alignment> found =
+        aligner_.align(anchor->image, point.in_first, frame.pyramid.front(), in_this, map, {});
+    if (!found || !agrees(*found)) continue;
+    window.tracks[point.track].to_px.push_back(found->place_px);
+    point.last_px = to_cv(found->place_px);
+    points.push_back(point);
   }
-  keep(good, &to);
-  for (std::size_t i = 0; i < to.size(); ++i) {
-    windows_[anchor->window].tracks[anchor->tracks[i]].to_px.emplace_back(to[i].x, to[i].y);
-  }
-  anchor->last = std::move(to);
+  anchor->points = std::move(points);
 }
 
 void FrameTracker::cut() {
   growing_.clear();
-  previous_.clear();
+  previous_ = {};
 }
 
 std::vector<TrackWindow> FrameTracker::take() {

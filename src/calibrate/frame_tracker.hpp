@@ -7,6 +7,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "features/blur_alignment.hpp"
+#include "features/corner_detector.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -30,13 +32,15 @@ struct TrackWindow {
 };
 
 /// Follows corners by pyramidal Lucas-Kanade, there and back as a check. Every frame starts a window with corners of
-/// its own; what is found in later frames is aligned with its surroundings in the first, so that no drift builds up.
+/// its own; what is found in later frames is aligned with its surroundings in the first (BlurAligner), so that no drift
+/// builds up. Blur is that of a straight path, by the velocities between frames.
 class FrameTracker {
  public:
   /// @param max_points  [10, 10000] of each window
   /// Throws OptionError.
   explicit FrameTracker(int max_points = 200);
 
+  /// @param time       later than that of the frame before, unless that was cut off
   /// @param luminance  CV_8UC1, all of the same size
   /// Throws std::invalid_argument for another type or size.
   void add(const FrameTime& time, const cv::Mat& luminance);
@@ -48,21 +52,34 @@ class FrameTracker {
   std::vector<TrackWindow> take();
 
  private:
+  struct Frame {
+    FrameTime time;
+    std::vector<cv::Mat> pyramid;
+    double noise = 0;  ///< of BlurredPoint
+  };
+  /// A track that goes on.
+  struct Point {
+    std::size_t track;      ///< of the window
+    BlurredPoint in_first;  ///< its path from the second frame on
+    cv::Point2f last_px;
+    Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();  ///< from the frame before the newest to the newest
+  };
   struct Anchor {
     std::size_t window;  ///< of windows_
-    std::vector<cv::Mat> pyramid;
-    std::vector<cv::Point2f> points, last;  ///< in the first frame and in the newest, of the tracks that go on
-    std::vector<std::size_t> tracks;        ///< of the window
+    cv::Mat image;       ///< first frame
+    std::vector<Point> points;
   };
 
-  void start(const FrameTime& time, const cv::Mat& luminance, const std::vector<cv::Mat>& pyramid);
-  void follow(Anchor* anchor, const std::vector<cv::Mat>& pyramid, const cv::Size& size);
+  void start(const Frame& frame);
+  void follow(const Frame& frame, Anchor* anchor);
 
   int max_points_;
   std::vector<TrackWindow> windows_;
   std::deque<Anchor> growing_;
-  std::vector<cv::Mat> previous_;  ///< pyramid of the frame before
+  Frame previous_;
   cv::Size size_;
+  CornerDetector detector_;
+  BlurAligner aligner_;
 };
 
 }  // namespace gyro_deblur
