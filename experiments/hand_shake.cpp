@@ -20,6 +20,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "baselines.hpp"
+#include "blur/path_2d.hpp"
 #include "evaluation.hpp"
 #include "footage.hpp"
 #include "gyro_deblur/pipeline.hpp"
@@ -118,6 +119,7 @@ struct Seen {
 /// What the package says of a frame's blocks.
 struct Blocks {
   double curved_share = 0, extent_px = 0;
+  double width_px = 0;            ///< across the line of a path, mean over the blocks with a 2-D filter
   int blurred = 0, rejected = 0;  ///< with a true extent of at least min_extent, and REJECTED of these
 };
 
@@ -128,12 +130,16 @@ Blocks blocks_of(const Shot& shot, const FrameBlur& field) {
   for (int i = 0; i < field.grid.size(); ++i) {
     const BlockBlur& block = field.blocks[i];
     extents_px.push_back(block.extent_px);
-    if (block.curved_path_px) ++curved;
+    if (block.curved_path_px) {
+      ++curved;
+      blocks.width_px += extent_along(*block.curved_path_px, block.angle_rad).y();
+    }
     if (true_extent_px(shot, field.grid.center(i)) < BlurFieldOptions().min_extent_px) continue;
     ++blocks.blurred;
     if (block.status == BlockStatus::REJECTED) ++blocks.rejected;
   }
   blocks.curved_share = curved / static_cast<double>(extents_px.size());
+  blocks.width_px /= std::max(curved, 1.0);
   blocks.extent_px = quantile(extents_px, 0.5);
   return blocks;
 }
@@ -221,7 +227,7 @@ cv::Mat side_by_side(const std::vector<std::pair<const char*, cv::Mat>>& images)
 /// What one camera, scale, exposure and noise measure.
 struct Measured {
   Figures psnr_db, sift, orb, sift_sharp, orb_sharp, repeatability;
-  std::vector<double> extents_px, curved_shares;
+  std::vector<double> extents_px, curved_shares, widths_px;
   int blurred = 0, rejected = 0;
 };
 
@@ -237,12 +243,13 @@ Measured measure(const std::vector<Shot>& shots, double noise,
       if (kind != PACKAGE) continue;
       m.extents_px.push_back(blocks.extent_px);
       m.curved_shares.push_back(blocks.curved_share);
+      m.widths_px.push_back(blocks.width_px);
       m.blurred += blocks.blurred;
       m.rejected += blocks.rejected;
     }
   }
   if (!picture.empty()) {
-    const auto most = std::max_element(m.curved_shares.begin(), m.curved_shares.end()) - m.curved_shares.begin();
+    const auto most = std::max_element(m.widths_px.begin(), m.widths_px.end()) - m.widths_px.begin();
     std::vector<std::pair<const char*, cv::Mat>> images;
     for (const Kind kind : {BLURRED, STRAIGHT, PACKAGE, SHARP})
       images.emplace_back(kKindNames[kind], seen[kind][most].image);
@@ -293,6 +300,59 @@ std::array<std::unique_ptr<Pipeline>, kKinds.size()> pipelines_for(const Shot& s
   return pipelines;
 }
 
+/// A camera, how fast it shakes (1: as recorded), and in how much noise.
+struct Shake {
+  ShakenCamera camera;
+  double scale;
+  TimeNs exposure_ns;
+  std::vector<double> noises;
+};
+
+std::vector<Shake> shakes_of(bool quick) {
+  constexpr TimeNs kLongestNs = 30'000'000;
+  if (quick) return {{kVga, 1, kLongestNs, {2, 6}}};
+  std::vector<Shake> shakes{{kVga, 2, kLongestNs, {2}}};
+  for (const ShakenCamera& camera : {kVga, kFullHd}) {
+    for (const double scale : {1.0, 0.6, 0.3}) {
+      for (const TimeNs exposure_ns : {TimeNs(10'000'000), TimeNs(20'000'000), kLongestNs}) {
+        shakes.push_back({camera, scale, exposure_ns, {2, 6}});
+      }
+    }
+  }
+  return shakes;
+}
+
+/// Where the picture of a shake goes; empty: it has none.
+std::string picture_of(const Shake& shake, double noise, const std::string& folder) {
+  if (folder.empty() || noise != 2 || shake.exposure_ns != 30'000'000) return {};
+  return folder + "/" + shake.camera.name + "_x" + text_of(shake.scale, 1) + ".png";
+}
+
+std::vector<std::string> row_of(const Shake& shake, double noise, const Measured& m) {
+  const auto ratio = [](const Figures& f) {
+    return text_of(mean_of(f[PACKAGE]) / std::max(mean_of(f[STRAIGHT]), 1.0), 2);
+  };
+  double least = std::numeric_limits<double>::infinity();
+  for (const Figures* f : {&m.sift, &m.orb, &m.sift_sharp, &m.orb_sharp}) {
+    least = std::min(least, standard_errors_above((*f)[PACKAGE], (*f)[BLURRED]));
+  }
+  return {shake.camera.name,
+          text_of(shake.scale, 1),
+          text_of(1e3 * to_seconds(shake.exposure_ns), 0),
+          text_of(noise, 0),
+          text_of(quantile(m.extents_px, 0.5), 0),
+          text_of(100 * mean_of(m.curved_shares), 0),
+          text_of(m.blurred > 0 ? 100.0 * m.rejected / m.blurred : 0, 1),
+          cell(m.psnr_db, 1),
+          cell(m.sift, 0),
+          cell(m.orb, 0),
+          cell(m.sift_sharp, 0),
+          cell(m.orb_sharp, 0),
+          cell(m.repeatability, 2),
+          ratio(m.sift_sharp) + ", " + ratio(m.orb_sharp),
+          text_of(least, 1)};
+}
+
 void run(const Arguments& arguments) {
   const std::vector<sim::TraceSample> trace = load_hand_shake(arguments.data);
   std::string source;
@@ -301,45 +361,22 @@ void run(const Arguments& arguments) {
   if (arguments.quick) views.resize(kViewsOfEach);
   if (!arguments.output.empty()) std::filesystem::create_directories(arguments.output);
 
-  std::vector<ShakenCamera> cameras{kVga, kFullHd};
-  std::vector<double> scales{1, 0.6, 0.3};
-  std::vector<TimeNs> exposures_ns{10'000'000, 20'000'000, 30'000'000};
-  if (arguments.quick) cameras.resize(1), scales.resize(1), exposures_ns = {exposures_ns.back()};
+  const std::vector<Shake> shakes = shakes_of(arguments.quick);
   ResultTable table({"camera", "shake", "exposure [ms]", "noise", "extent [px]", "curved [%]", "REJECTED [%]",
                      "PSNR [dB]", "SIFT", "ORB", "SIFT, with sharp", "ORB, with sharp", "repeatability",
                      "package over straight: SIFT, ORB with sharp", "least over blurred [standard errors]"});
-  Progress progress(cameras.size() * scales.size() * exposures_ns.size(), "shakes", arguments.quiet);
+  Progress progress(shakes.size(), "shakes", arguments.quiet);
   std::size_t done = 0;
-  for (const ShakenCamera& camera : cameras) {
-    for (const double scale : scales) {
-      for (const TimeNs exposure_ns : exposures_ns) {
-        std::vector<Shot> shots;
-        for (const View& view : views) {
-          shots.push_back(take_shot(camera, trace, scale, exposure_ns, view, photographs));
-        }
-        auto pipelines = pipelines_for(shots.front(), arguments.curved_path_threshold_px);
-        const double exposure_ms = 1e3 * to_seconds(exposure_ns);
-        for (const double noise : {2.0, 6.0}) {
-          const bool shown = !arguments.output.empty() && noise == 2 && exposure_ns == exposures_ns.back();
-          const Measured m =
-              measure(shots, noise, pipelines,
-                      shown ? arguments.output + "/" + camera.name + "_x" + text_of(scale, 1) + ".png" : std::string());
-          const auto ratio = [](const Figures& f) {
-            return text_of(mean_of(f[PACKAGE]) / std::max(mean_of(f[STRAIGHT]), 1.0), 2);
-          };
-          double least = std::numeric_limits<double>::infinity();
-          for (const Figures* f : {&m.sift, &m.orb, &m.sift_sharp, &m.orb_sharp}) {
-            least = std::min(least, standard_errors_above((*f)[PACKAGE], (*f)[BLURRED]));
-          }
-          table.add({camera.name, text_of(scale, 1), text_of(exposure_ms, 0), text_of(noise, 0),
-                     text_of(quantile(m.extents_px, 0.5), 0), text_of(100 * mean_of(m.curved_shares), 0),
-                     text_of(m.blurred > 0 ? 100.0 * m.rejected / m.blurred : 0, 1), cell(m.psnr_db, 1),
-                     cell(m.sift, 0), cell(m.orb, 0), cell(m.sift_sharp, 0), cell(m.orb_sharp, 0),
-                     cell(m.repeatability, 2), ratio(m.sift_sharp) + ", " + ratio(m.orb_sharp), text_of(least, 1)});
-        }
-        progress.done(++done);
-      }
+  for (const Shake& shake : shakes) {
+    std::vector<Shot> shots;
+    for (const View& view : views) {
+      shots.push_back(take_shot(shake.camera, trace, shake.scale, shake.exposure_ns, view, photographs));
     }
+    auto pipelines = pipelines_for(shots.front(), arguments.curved_path_threshold_px);
+    for (const double noise : shake.noises) {
+      table.add(row_of(shake, noise, measure(shots, noise, pipelines, picture_of(shake, noise, arguments.output))));
+    }
+    progress.done(++done);
   }
   std::printf("Photographs: %s. Cells: sharp / blurred / straight / package / fourier.\n%s", source.c_str(),
               table.markdown().c_str());

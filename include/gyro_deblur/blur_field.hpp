@@ -23,12 +23,13 @@ BlockBlur classify_blur(double dx_px, double dy_px, const BlurFieldOptions& opti
 /// a box (doc/design/blur_model.md). Precondition: extent_px >= 0.
 double even_path_px(double extent_px);
 
-/// A path is curved when it deviates from its line by more than curved_path_threshold_px plus this share of the extent.
+/// A path is curved if it deviates from its line by more than curved_path_threshold_px plus this share of the extent,
+/// or from uniform speed by more than curved_path_threshold_px plus even_path_px().
 constexpr double kStraightPathShare = 0.02;
 
-/// Where there is no time for a 2-D filter, paths that deviate from their line by at most this [px] (or
-/// curved_path_threshold_px, if that is larger) plus kStraightPathShare of the extent get a 1-D filter: it still gains
-/// there (doc/reports/experiments_real_world.md).
+/// Where there is no time for a 2-D filter, or the path is too long for one, paths that deviate from their line by at
+/// most this [px] (or curved_path_threshold_px, if that is larger) plus kStraightPathShare of the extent get a 1-D
+/// filter: it still gains there (doc/reports/experiments_real_world.md).
 constexpr double kMaxStraightDeviationPx = 1.5;
 
 /// Blur of one block from a path (doc/design/blur_model.md):
@@ -36,11 +37,11 @@ constexpr double kMaxStraightDeviationPx = 1.5;
 /// - Uniform speed, to within even_path_px(): classify_blur() of the displacement from the first to the last place.
 /// - Non-uniform speed: the line is the one nearest to the places, extent_px the length of it that they cover, and
 ///   nonuniform_path_px is set.
-/// - Curved, of either speed (kStraightPathShare): curved_path_px is set too. TOO_CURVED if that covers more than
-///   kMax2dExtentPx.
+/// - Curved (kStraightPathShare): curved_path_px is set too, unless it would cover more than kMax2dExtentPx. Without
+///   it paths beyond kMaxStraightDeviationPx are TOO_CURVED.
 ///
 /// @param path_px        places of a scene point at kPathInstants, relative to the place at mid-exposure; finite
-/// @param straight_only  curved_path_px is never set; paths beyond kMaxStraightDeviationPx are TOO_CURVED
+/// @param straight_only  curved_path_px is never set
 BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_px, const BlurFieldOptions& options,
                         bool straight_only = false);
 

@@ -25,9 +25,9 @@ struct BlurFieldOptions {
   double min_extent_px = 3.0;
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
   /// A path is curved if it deviates from a straight line by more than this plus 2 % of the extent
-  /// (kStraightPathShare). Curved paths get the 2-D filter, which takes three times as long. 0.8 px balances quality
-  /// and time (doc/reports/hand_shake.md).
-  double curved_path_threshold_px = 0.8;
+  /// (kStraightPathShare), or from uniform speed by more than this plus even_path_px(). Curved paths get the 2-D
+  /// filter. Less than 0.1 px costs a 1-D filter nothing (doc/reports/filter_constants.md).
+  double curved_path_threshold_px = 0.1;
 
   void validate() const;  ///< throws OptionError
 };

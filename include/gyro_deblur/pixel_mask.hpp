@@ -46,7 +46,9 @@ struct FilterReach {
 };
 
 /// Sets the status of DEBLURRED blocks to STATIC_EDGE if a pixel of theirs, or one that their filter would read, is
-/// masked: a filter makes rings of an edge that is not blurred.
+/// masked: a filter makes rings of an edge that is not blurred. A 2-D filter reads a block's neighbours on all sides:
+/// where a 1-D filter would not read a masked pixel, paths that deviate from their line by at most
+/// kMaxStraightDeviationPx lose their curved_path_px instead.
 /// Throws std::invalid_argument if the mask is neither empty nor of the field's size.
 void mark_static_edges(const PixelMask& mask, const FilterReach& reach, FrameBlur* field);
 

@@ -122,7 +122,8 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   BlockBlur blur = classify_blur(chord_px.x(), chord_px.y(), options);
   const float angle_rad = fitted_angle(path_px);
   LineFit fit = fit_to_line(path_px, angle_rad);
-  if (nonuniformity_px(fit.path_px) > even_path_px(fit.along_px)) {
+  const double nonuniform_px = nonuniformity_px(fit.path_px) - even_path_px(fit.along_px);
+  if (nonuniform_px > 0) {
     blur = {angle_rad, static_cast<float>(fit.along_px), status_of(fit.along_px, options), fit.path_px};
   } else {
     fit = fit_to_line(path_px, blur.angle_rad);
@@ -130,13 +131,14 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
   blur.mean_place_px = mean_place(path_px).cast<float>();
   const double excess_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
-  if (blur.status != BlockStatus::DEBLURRED || excess_px <= options.curved_path_threshold_px) return blur;
-  if (straight_only) {
-    if (excess_px > kMaxStraightDeviationPx) blur.status = BlockStatus::TOO_CURVED;
-  } else {
-    Path2d& curved_path_px = blur.curved_path_px.emplace();
-    for (int k = 0; k < kPathInstants; ++k) curved_path_px[k] = path_px[k].cast<float>();
-    if (extent_of(curved_path_px).maxCoeff() > kMax2dExtentPx) blur.status = BlockStatus::TOO_CURVED;
+  const double threshold_px = options.curved_path_threshold_px;
+  if (blur.status != BlockStatus::DEBLURRED || std::max(excess_px, nonuniform_px) <= threshold_px) return blur;
+  Path2d curved_path_px;
+  for (int k = 0; k < kPathInstants; ++k) curved_path_px[k] = path_px[k].cast<float>();
+  if (!straight_only && extent_of(curved_path_px).maxCoeff() <= kMax2dExtentPx) {
+    blur.curved_path_px = curved_path_px;
+  } else if (excess_px > std::max(threshold_px, kMaxStraightDeviationPx)) {
+    blur.status = BlockStatus::TOO_CURVED;
   }
   return blur;
 }

@@ -13,6 +13,13 @@ Eigen::Vector2f extent_of(const Path2d& path_px) {
   return covered_px.sizes();
 }
 
+Eigen::Vector2f extent_along(const Path2d& path_px, float angle_rad) {
+  const Eigen::Rotation2Df to_line(-angle_rad);
+  Eigen::AlignedBox2f covered_px;
+  for (const Eigen::Vector2f& place_px : path_px) covered_px.extend(to_line * place_px);
+  return covered_px.sizes();
+}
+
 std::array<Eigen::Vector2d, kPathInstants> rolling_shutter_path(
     const std::array<Eigen::Vector2d, kPathInstants>& path_px, const RowExposure& exposure) {
   const double instants_per_row =

@@ -13,6 +13,9 @@ namespace gyro_deblur {
 /// Width and height [px] of what the path covers, the place at the middle of the exposure included.
 Eigen::Vector2f extent_of(const Path2d& path_px);
 
+/// What the path covers [px] along a line (x) and across it (y).
+Eigen::Vector2f extent_along(const Path2d& path_px, float angle_rad);
+
 /// The path that a rolling shutter records. Rows to which a scene point moves are exposed later or earlier than the row
 /// where it is at mid-exposure: a point that moves with the readout is exposed for longer, by 1 / (1 - v t) at v [px/s]
 /// along the columns and t [s] from row to row.

@@ -9,6 +9,8 @@
 #include <opencv2/imgproc.hpp>
 
 #include "base/format.hpp"
+#include "blur/path_2d.hpp"
+#include "gyro_deblur/blur_field.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -39,6 +41,13 @@ bool reads_masked(const PixelMask& mask, const cv::Rect& rect, const BlockBlur& 
     if (mask.masked_in(with_seams + shift) > 0) return true;
   }
   return false;
+}
+
+/// Whether a 1-D filter still gains on a block of a curved path.
+bool is_slightly_curved(const BlockBlur& blur) {
+  if (!blur.curved_path_px) return false;
+  const Eigen::Vector2f extent_px = extent_along(*blur.curved_path_px, blur.angle_rad);
+  return 0.5 * extent_px.y() - kStraightPathShare * extent_px.x() <= kMaxStraightDeviationPx;
 }
 
 void require_size(const PixelMask& mask, const FrameBlur& field) {
@@ -90,7 +99,15 @@ void mark_static_edges(const PixelMask& mask, const FilterReach& reach, FrameBlu
   for (int i = 0; i < field->grid.size(); ++i) {
     BlockBlur& block = field->blocks[static_cast<std::size_t>(i)];
     if (block.status != BlockStatus::DEBLURRED) continue;
-    if (reads_masked(mask, field->grid.rect(i), block, field->grid.block_size_px(), reach)) {
+    const auto reads = [&](const BlockBlur& blur) {
+      return reads_masked(mask, field->grid.rect(i), blur, field->grid.block_size_px(), reach);
+    };
+    if (!reads(block)) continue;
+    BlockBlur straight = block;
+    straight.curved_path_px.reset();
+    if (is_slightly_curved(block) && !reads(straight)) {
+      block = straight;
+    } else {
       block.status = BlockStatus::STATIC_EDGE;
     }
   }

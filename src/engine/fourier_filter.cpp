@@ -17,8 +17,8 @@ namespace {
 constexpr int kMaxCellPx = 64;
 
 // Margin of a tile around its window, in extents of the path: quality against time (doc/reports/filter_constants.md).
-constexpr float kAroundExtents = 1.5;
-static_assert(2 * kMaxCellPx + kAroundExtents * kMax2dExtentPx <= kMaxFourierSize, "paths of fields have their tiles");
+constexpr float kAroundExtents = 1.75;
+static_assert(2 * kMaxCellPx + 1.5f * kMax2dExtentPx <= kMaxFourierSize, "the longest paths have 1.5 extents of it");
 
 // Length of the single step towards a consistent continuation outside the image (doc/reports/filter_constants.md).
 constexpr float kOverRelaxation = 2.5f;
@@ -27,7 +27,7 @@ constexpr float kOverRelaxation = 2.5f;
 constexpr double kFallsFrom = 0.16, kEndsAt = 0.24;
 // Half the size serves where at kEndsAt the mean gain in power of a straight uniform path of this extent is less than
 // this share of WienerInverse2d's ratio there: finer detail then adds noise only (doc/reports/filter_constants.md).
-constexpr double kHalvedBelow = 0.035;
+constexpr double kHalvedBelow = 0.07;
 
 /// From 0 to 1 in `length` steps as the square of a sine. `ramp` is one of these already.
 void make_ramp(int length, std::vector<float>& ramp) {

@@ -163,7 +163,7 @@ TEST(ClassifyPath, SaysWhereTheImageShowsThePoint) {
     return classify_path(path_of([&](double t) -> Eigen::Vector2d {
                            return (40 * t + 4 * gain_px * t * t) * along + 4 * arc_px * t * t * across;
                          }),
-                         {});
+                         {}, true);
   };
   // The mean of 4 t^2 over nine instants, evenly in between, as against 1 / 3.
   constexpr double kMean = (1 / 2.0 + 2 * (9 + 4 + 1) / 16.0 + 1 / 2.0) / 8;
@@ -190,6 +190,31 @@ TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
   EXPECT_NEAR(blur.angle_rad, M_PI / 2, 1e-6);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_TRUE(blur.nonuniform_path_px);
+}
+
+TEST(ClassifyPath, NonuniformSpeedIsCurvedBeyondTheThreshold) {
+  // The parabola leaves uniform speed by a quarter of its coefficient, half of that after the best shift.
+  constexpr double kUnevenPx = 8;
+  const auto path_px = path_of([](double t) { return Eigen::Vector2d(20 * t + kUnevenPx * t * t, 0); });
+  BlurFieldOptions options;
+  options.curved_path_threshold_px = 1.001 * (kUnevenPx / 8 - even_path_px(20));
+  BlockBlur blur = classify_path(path_px, options);
+  EXPECT_TRUE(blur.nonuniform_path_px);
+  EXPECT_FALSE(blur.curved_path_px);
+  options.curved_path_threshold_px = 0.999 * (kUnevenPx / 8 - even_path_px(20));
+  blur = classify_path(path_px, options);
+  EXPECT_TRUE(blur.nonuniform_path_px);
+  EXPECT_TRUE(blur.curved_path_px);
+  // Without a 2-D filter it has a 1-D one, however uneven it is.
+  blur = classify_path(path_px, options, true);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_FALSE(blur.curved_path_px);
+  options.max_extent_px = 2 * kMax2dExtentPx;
+  const auto long_path_px = path_of([](double t) { return Eigen::Vector2d(0, 4.6 * kMax2dExtentPx * t * t); });
+  blur = classify_path(long_path_px, options);
+  EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
+  EXPECT_TRUE(blur.nonuniform_path_px);
+  EXPECT_FALSE(blur.curved_path_px);
 }
 
 TEST(ClassifyPath, AnArcIsCurvedBeyondTheThreshold) {

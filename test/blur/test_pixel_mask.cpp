@@ -1,9 +1,11 @@
 #include "gyro_deblur/pixel_mask.hpp"
 
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
 #include <gtest/gtest.h>
+#include <Eigen/Core>
 #include <opencv2/imgproc.hpp>
 
 #include "blur/frame_quality.hpp"
@@ -131,6 +133,36 @@ TEST(PixelMask, Keeps2dInversesFartherOff) {
       EXPECT_EQ(planes.blocks[i].status, BlockStatus::STATIC_EDGE);
     }
   }
+}
+
+// A 1-D filter serves them, and it reads less around a block.
+TEST(PixelMask, SlightlyCurvedBlocksGet1dFiltersNearMaskedPixels) {
+  constexpr double kExtentPx = 30;
+  constexpr double kLimitPx = kMaxStraightDeviationPx + kStraightPathShare * kExtentPx;
+  const PixelMask mask(round_window(120));
+  const auto marked = [&mask](double deviation_px) {
+    std::array<Eigen::Vector2d, kPathInstants> arc_px;
+    for (int k = 0; k < kPathInstants; ++k) {
+      const double t = k / (kPathInstants - 1.0) - 0.5;
+      arc_px[k] = {kExtentPx * t, 8 * deviation_px * t * t};
+    }
+    FrameBlur field = field_of(0, kExtentPx);
+    for (BlockBlur& block : field.blocks) block = classify_path(arc_px, {});
+    EXPECT_EQ(field.blocks.front().curved_path_px.has_value(), deviation_px > 0);
+    mark_static_edges(mask, {2, false}, &field);
+    return field;
+  };
+  const FrameBlur straight = marked(0), slight = marked(0.99 * kLimitPx), strong = marked(1.01 * kLimitPx);
+  int served = 0;
+  for (int i = 0; i < straight.grid.size(); ++i) {
+    EXPECT_EQ(slight.blocks[i].status, straight.blocks[i].status) << i;
+    if (straight.blocks[i].status != BlockStatus::DEBLURRED) continue;
+    const bool is_near = strong.blocks[i].status == BlockStatus::STATIC_EDGE;
+    EXPECT_EQ(slight.blocks[i].curved_path_px.has_value(), !is_near) << i;
+    served += is_near;
+  }
+  EXPECT_GT(served, 0);
+  EXPECT_GT(strong.count(BlockStatus::DEBLURRED), 0u);
 }
 
 TEST(PixelMask, OnlyWhatWouldBeFilteredIsAtAStaticEdge) {

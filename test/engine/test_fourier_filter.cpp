@@ -258,7 +258,7 @@ TEST(FourierFilter, RestoresWhereThePathIsCurved) {
 TEST(FourierFilter, KnowsLittleOfWhatLiesOutsideButSomething) {
   const cv::Mat scene = test::textured_image(448, 384, 9);
   const cv::Rect seen(64, 64, 320, 256);
-  for (const auto& [extent_px, gained_db] : {std::pair(15.0, 3.8), std::pair(30.0, 3.6), std::pair(60.0, 3.2)}) {
+  for (const auto& [extent_px, gained_db] : {std::pair(15.0, 3.8), std::pair(30.0, 3.5), std::pair(60.0, 3.2)}) {
     const Path2d path_px = test::arc_path(extent_px, 0.2 * extent_px, 0.5);
     const WienerInverse2d inverse{path_px, kNoiseToSignal, kNoiseRisePx2};
     const cv::Mat sharp = scene(seen).clone();

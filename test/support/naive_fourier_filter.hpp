@@ -139,11 +139,11 @@ inline cv::Mat doubled(const cv::Mat& half, cv::Size size) {
   return doubled_rows(doubled_rows(half, size.width).t(), size.height).t();
 }
 
-/// Whether a block is filtered at half its size: where at 0.24 cycles/px a straight run leaves less than 3.5 % of the
+/// Whether a block is filtered at half its size: where at 0.24 cycles/px a straight run leaves less than 7 % of the
 /// ratio of its inverse, on the mean.
 inline bool is_at_half_size(const WienerInverse2d& inverse) {
   const double radians = CV_PI * 0.24 * extent_of(inverse.path_px).maxCoeff();
-  return 0.5 / (radians * radians) < 0.035 * (inverse.noise_to_signal + inverse.noise_rise_px2 * 0.24 * 0.24);
+  return 0.5 / (radians * radians) < 0.07 * (inverse.noise_to_signal + inverse.noise_rise_px2 * 0.24 * 0.24);
 }
 
 /// What passes at half the size at u of `size` cycles.
@@ -175,7 +175,7 @@ inline NaiveSums naive_sums(const cv::Mat& image, const FilterGrid& grid,
       const bool at_the_end =
           across.begin == 0 || down.begin == 0 || across.end() == image.cols || down.end() == image.rows;
       const auto length_of_tile = [](const NaiveWindow& window, float extent) {
-        const int length = static_cast<int>(window.weights.size()) + static_cast<int>(std::ceil(1.5 * extent));
+        const int length = static_cast<int>(window.weights.size()) + static_cast<int>(std::ceil(1.75 * extent));
         return fourier_size(std::min(length, kMaxFourierSize));
       };
       const cv::Size size(length_of_tile(across, extent_px.x()), length_of_tile(down, extent_px.y()));
