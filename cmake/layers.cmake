@@ -76,7 +76,7 @@ function(gyro_deblur_compile_for_instruction_sets layer stem)
     set(avx2_options -mavx2 -mfma)
     set(avx512_bytes 64)
     set(avx512_options -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni -mavx512vbmi -mavx2 -mfma
-      -mprefer-vector-width=512 -Wno-maybe-uninitialized)
+      -mprefer-vector-width=512 -Wno-maybe-uninitialized -Wno-uninitialized)
   elseif(CMAKE_SYSTEM_NAME STREQUAL "Linux" AND CMAKE_SYSTEM_PROCESSOR STREQUAL "aarch64" AND CMAKE_SIZEOF_VOID_P EQUAL 8)
     list(APPEND sets dotprod)
     set(dotprod_bytes 16)

@@ -111,6 +111,22 @@ inline void transpose_floats(const float* from, std::ptrdiff_t from_stride, floa
   }
 }
 
+/// Loads kLanes pairs: first elements, and second ones.
+inline void load_interleaved(const float* from, Vector& even, Vector& odd) {
+  for (int i = 0; i < kLanes; ++i) {
+    even[i] = from[2 * i];
+    odd[i] = from[2 * i + 1];
+  }
+}
+
+/// Stores elements of two vectors in turn.
+inline void store_interleaved(float* to, Vector even, Vector odd) {
+  for (int i = 0; i < kLanes; ++i) {
+    to[2 * i] = even[i];
+    to[2 * i + 1] = odd[i];
+  }
+}
+
 /// Transposes 8x8 bytes.
 inline void transpose_bytes(const std::uint8_t* from, std::ptrdiff_t from_stride, std::uint8_t* to,
                             std::ptrdiff_t to_stride) {

@@ -70,6 +70,16 @@ inline Vector reciprocal(Vector v) {
   return (Vector)vmulq_f32(guess, vrecpsq_f32((float32x4_t)v, guess));
 }
 
+inline void load_interleaved(const float* from, Vector& even, Vector& odd) {
+  const float32x4x2_t both = vld2q_f32(from);
+  even = (Vector)both.val[0];
+  odd = (Vector)both.val[1];
+}
+
+inline void store_interleaved(float* to, Vector even, Vector odd) {
+  vst2q_f32(to, float32x4x2_t{{(float32x4_t)even, (float32x4_t)odd}});
+}
+
 inline void transpose_bytes(const std::uint8_t* from, std::ptrdiff_t from_stride, std::uint8_t* to,
                             std::ptrdiff_t to_stride) {
   const auto pair = [&](int row) {

@@ -20,23 +20,37 @@ inline Vector load_pixels(const Pixel* from) {
   return (Vector)_mm256_cvtepi32_ps(sizeof(Pixel) == 1 ? _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)from))
                                                        : _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)from)));
 #else
-  return generic::load_pixels(from);
+  const __m128i zero = _mm_setzero_si128();
+  std::int64_t bits = 0;
+  std::memcpy(&bits, from, 4 * sizeof(Pixel));
+  const __m128i pixels = _mm_cvtsi64_si128(bits), words = sizeof(Pixel) == 1 ? _mm_unpacklo_epi8(pixels, zero) : pixels;
+  return (Vector)_mm_cvtepi32_ps(_mm_unpacklo_epi16(words, zero));
 #endif
 }
 
-#if defined(__AVX512F__)
 template <typename Pixel>
 inline void store_pixels(Pixel* to, Vector v) {
-  const __m512i i = _mm512_cvttps_epi32((__m512)clip_for_truncation<Pixel>(v));
+  const Vector clipped = clip_for_truncation<Pixel>(v);
+#if defined(__AVX512F__)
+  const __m512i i = _mm512_cvttps_epi32((__m512)clipped);
   if (sizeof(Pixel) == 1) {
     _mm_storeu_si128((__m128i*)to, _mm512_cvtepi32_epi8(i));
   } else {
     _mm256_storeu_si256((__m256i*)to, _mm512_cvtepi32_epi16(i));
   }
-}
 #else
-using generic::store_pixels;
+#if defined(__AVX2__)
+  const __m256i i = _mm256_cvttps_epi32((__m256)clipped);
+  const __m128i words = _mm_packus_epi32(_mm256_castsi256_si128(i), _mm256_extracti128_si256(i, 1));
+#else
+  // There is no instruction for unsigned words: less 2^15 they are signed.
+  const __m128i i = _mm_sub_epi32(_mm_cvttps_epi32((__m128)clipped), _mm_set1_epi32(1 << 15));
+  const __m128i words = _mm_xor_si128(_mm_packs_epi32(i, i), _mm_set1_epi16(static_cast<short>(-32768)));
 #endif
+  const __m128i pixels = sizeof(Pixel) == 1 ? _mm_packus_epi16(words, words) : words;
+  std::memcpy(to, &pixels, kLanes * sizeof(Pixel));
+#endif
+}
 
 /// acc + low * low + high * high of the int16 halves of each lane.
 inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weights) {
@@ -106,19 +120,107 @@ inline FourFloats reduce_add_four(const FourFloats* vectors) {
 #endif
 }
 
+inline void load_interleaved(const float* from, Vector& even, Vector& odd) {
+  const Vector a = load(from), b = load(from + kLanes);
+#if defined(__AVX512F__)
+  const IntVector evens = {0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30};
+  even = (Vector)_mm512_permutex2var_ps((__m512)a, (__m512i)evens, (__m512)b);
+  odd = (Vector)_mm512_permutex2var_ps((__m512)a, (__m512i)(evens + 1), (__m512)b);
+#elif defined(__AVX2__)
+  // By halves, in the order first, third, second, fourth quarter.
+  const __m256 evens = _mm256_shuffle_ps((__m256)a, (__m256)b, 0x88),
+               odds = _mm256_shuffle_ps((__m256)a, (__m256)b, 0xDD);
+  even = (Vector)_mm256_permute4x64_pd((__m256d)evens, 0xD8);
+  odd = (Vector)_mm256_permute4x64_pd((__m256d)odds, 0xD8);
+#else
+  even = (Vector)_mm_shuffle_ps((__m128)a, (__m128)b, 0x88);
+  odd = (Vector)_mm_shuffle_ps((__m128)a, (__m128)b, 0xDD);
+#endif
+}
+
+inline void store_interleaved(float* to, Vector even, Vector odd) {
+#if defined(__AVX512F__)
+  const IntVector pairs = {0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23};
+  const __m512 first = _mm512_permutex2var_ps((__m512)even, (__m512i)pairs, (__m512)odd);
+  const __m512 second = _mm512_permutex2var_ps((__m512)even, (__m512i)(pairs + 8), (__m512)odd);
+#elif defined(__AVX2__)
+  const __m256 low = _mm256_unpacklo_ps((__m256)even, (__m256)odd),
+               high = _mm256_unpackhi_ps((__m256)even, (__m256)odd);
+  const __m256 first = _mm256_permute2f128_ps(low, high, 0x20), second = _mm256_permute2f128_ps(low, high, 0x31);
+#else
+  const __m128 first = _mm_unpacklo_ps((__m128)even, (__m128)odd), second = _mm_unpackhi_ps((__m128)even, (__m128)odd);
+#endif
+  store(to, (Vector)first);
+  store(to + kLanes, (Vector)second);
+}
+
+/// Four floats of every fourth row, from row `from` on, one after the other.
+inline Vector load_quarters(const float* from, std::ptrdiff_t stride) {
+#if defined(__AVX512F__)
+  __m512 v = _mm512_castps128_ps512(_mm_load_ps(from));
+  v = _mm512_insertf32x4(v, _mm_load_ps(from + 4 * stride), 1);
+  v = _mm512_insertf32x4(v, _mm_load_ps(from + 8 * stride), 2);
+  return (Vector)_mm512_insertf32x4(v, _mm_load_ps(from + 12 * stride), 3);
+#elif defined(__AVX2__)
+  return (Vector)_mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(from)), _mm_load_ps(from + 4 * stride), 1);
+#else
+  static_cast<void>(stride);
+  return load(from);
+#endif
+}
+
+inline Vector unpack_low(Vector a, Vector b) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_unpacklo_ps((__m512)a, (__m512)b);
+#elif defined(__AVX2__)
+  return (Vector)_mm256_unpacklo_ps((__m256)a, (__m256)b);
+#else
+  return (Vector)_mm_unpacklo_ps((__m128)a, (__m128)b);
+#endif
+}
+
+inline Vector unpack_high(Vector a, Vector b) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_unpackhi_ps((__m512)a, (__m512)b);
+#elif defined(__AVX2__)
+  return (Vector)_mm256_unpackhi_ps((__m256)a, (__m256)b);
+#else
+  return (Vector)_mm_unpackhi_ps((__m128)a, (__m128)b);
+#endif
+}
+
+inline Vector unpack_low_pairs(Vector a, Vector b) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_unpacklo_pd((__m512d)a, (__m512d)b);
+#elif defined(__AVX2__)
+  return (Vector)_mm256_unpacklo_pd((__m256d)a, (__m256d)b);
+#else
+  return (Vector)_mm_unpacklo_pd((__m128d)a, (__m128d)b);
+#endif
+}
+
+inline Vector unpack_high_pairs(Vector a, Vector b) {
+#if defined(__AVX512F__)
+  return (Vector)_mm512_unpackhi_pd((__m512d)a, (__m512d)b);
+#elif defined(__AVX2__)
+  return (Vector)_mm256_unpackhi_pd((__m256d)a, (__m256d)b);
+#else
+  return (Vector)_mm_unpackhi_pd((__m128d)a, (__m128d)b);
+#endif
+}
+
+/// Squares of four, one for each quarter of a vector: whole vectors are stored.
 inline void transpose_floats(const float* from, std::ptrdiff_t from_stride, float* to, std::ptrdiff_t to_stride) {
-  for (int y = 0; y < kLanes; y += 4) {
-    for (int x = 0; x < kLanes; x += 4) {
-      const float* at = from + y * from_stride + x;
-      __m128 a = _mm_load_ps(at), b = _mm_load_ps(at + from_stride), c = _mm_load_ps(at + 2 * from_stride),
-             d = _mm_load_ps(at + 3 * from_stride);
-      _MM_TRANSPOSE4_PS(a, b, c, d);
-      float* put = to + x * to_stride + y;
-      _mm_store_ps(put, a);
-      _mm_store_ps(put + to_stride, b);
-      _mm_store_ps(put + 2 * to_stride, c);
-      _mm_store_ps(put + 3 * to_stride, d);
-    }
+  for (int x = 0; x < kLanes; x += 4, to += 4 * to_stride) {
+    const Vector a = load_quarters(from + x, from_stride), b = load_quarters(from + from_stride + x, from_stride),
+                 c = load_quarters(from + 2 * from_stride + x, from_stride),
+                 d = load_quarters(from + 3 * from_stride + x, from_stride);
+    const Vector ab_low = unpack_low(a, b), ab_high = unpack_high(a, b);
+    const Vector cd_low = unpack_low(c, d), cd_high = unpack_high(c, d);
+    store(to, unpack_low_pairs(ab_low, cd_low));
+    store(to + to_stride, unpack_high_pairs(ab_low, cd_low));
+    store(to + 2 * to_stride, unpack_low_pairs(ab_high, cd_high));
+    store(to + 3 * to_stride, unpack_high_pairs(ab_high, cd_high));
   }
 }
 

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 
 #include "base/parallel.hpp"
 #include "blur/path_2d.hpp"
@@ -53,7 +52,11 @@ WienerInverse2d at_half_size(WienerInverse2d inverse) {
 
 }  // namespace
 
-FourierFilter::FourierFilter(const FourierSimd& simd) : simd_(simd) {}
+FourierFilter::FourierFilter(const FourierSimd& simd)
+    : simd_(simd),
+      gain_simd_(*find_for_cpu<WienerGain2dSimd>(simd.name)),
+      tile_simd_(*find_for_cpu<TileSimd>(simd.name)),
+      half_size_simd_(*find_for_cpu<HalfSizeSimd>(simd.name)) {}
 
 void FourierFilter::cut(const std::vector<int>& borders, Axis& axis) {
   std::vector<int> of_cells = {0};
@@ -173,7 +176,7 @@ void FourierFilter::prepare_images(const cv::Mat& src, int threads) {
   }
   half.images.resize(whole.images.size());
   for (std::size_t channel = 0; channel < whole.images.size() && !half.cells.empty(); ++channel) {
-    downsample2x(whole.images[channel], threads, half.images[channel]);
+    downsample2x(whole.images[channel], threads, half.images[channel], half_size_simd_);
   }
 }
 
@@ -183,43 +186,24 @@ float* FourierFilter::floats_in(std::vector<CacheLine>& lines, int count) {
   return lines.data()->floats;
 }
 
-template <typename Pixel>
-void FourierFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile) {
+void FourierFilter::load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile) const {
   const cv::Rect& window = cell.window;
-  const int cols = cell.tile.width, rows = cell.tile.height, stride = fourier_stride(cols);
-  // The image as far as the tile looks before and behind the window; its edges go on.
-  const int first = window.width - cols, count = cols - first, begin_x = window.x + first;
-  const int inside = std::clamp(-begin_x, 0, count - 1), end = std::clamp(image.cols - begin_x, inside + 1, count);
-  scratch.edge.resize(std::max<std::size_t>(scratch.edge.size(), count));
-  const auto fade = [&](const auto* from, float* to) {
-#pragma omp simd
-    for (int x = 0; x < window.width; ++x) to[x] = from[x];
-    const float* weights = scratch.fade_x.data();
-#pragma omp simd
-    for (int x = window.width; x < cols; ++x) {
-      const float behind = from[x], before = from[x - cols];
-      to[x] = behind + weights[x - window.width] * (before - behind);
-    }
-  };
-  const auto load_row = [&](int y, float* to) {
-    const Pixel* row = image.ptr<Pixel>(std::clamp(window.y + y, 0, image.rows - 1));
-    if (inside == 0 && end == count) return fade(row + window.x, to);
-    float* edge = scratch.edge.data();
-    std::fill(edge, edge + inside, static_cast<float>(row[0]));
-#pragma omp simd
-    for (int x = inside; x < end; ++x) edge[x] = row[begin_x + x];
-    std::fill(edge + end, edge + count, static_cast<float>(row[image.cols - 1]));
-    fade(edge - first, to);
-  };
-  for (int y = 0; y < rows; ++y) {
-    float* to = tile + y * stride;
-    load_row(y, to);
-    if (y < window.height) continue;
-    load_row(y - rows, scratch.row.data());
-    const float weight = scratch.fade_y[y - window.height];
-#pragma omp simd
-    for (int x = 0; x < cols; ++x) to[x] += weight * (scratch.row[x] - to[x]);
-  }
+  const TileSource source{image.data,
+                          static_cast<std::ptrdiff_t>(image.step1()),
+                          image.cols,
+                          image.rows,
+                          window.x,
+                          window.y,
+                          window.width,
+                          window.height,
+                          cell.tile.width,
+                          cell.tile.height,
+                          scratch.fade_x.data(),
+                          scratch.fade_y.data()};
+  const auto load = image.depth() == CV_8U    ? tile_simd_.load_bytes
+                    : image.depth() == CV_16U ? tile_simd_.load_words
+                                              : tile_simd_.load_floats;
+  load(source, tile, floats_in(scratch.row, tile_scratch(source.cols)));
 }
 
 void FourierFilter::continue_tile(const Level& level, const Cell& cell, const FourierTile& plan, Scratch& scratch,
@@ -239,24 +223,17 @@ void FourierFilter::continue_tile(const Level& level, const Cell& cell, const Fo
   find_inside(window.y, window.height, rows, level.down.length, scratch.fade_y, scratch.inside_y);
   float* continued = floats_in(scratch.continued, rows * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
-  float* gain = floats_in(scratch.gain_rows, 2 * simd_.lanes * cols);
+  const float* again = floats_in(scratch.again, rows * cols);
   std::copy_n(tile, rows * stride, continued);
   simd_.transform_columns(plan, continued, transform);
   for (int row = 0; row < rows / 2; row += simd_.lanes) {
-    scratch.gain.rows(row, true, gain);
-    simd_.filter_rows(plan, row, gain, 0, cols, continued, transform);
+    simd_.filter_rows(plan, row, again + 2 * row * cols, 0, cols, continued, transform);
   }
   simd_.restore_columns(plan, 0, cols, continued, transform);
-  for (int y = 0; y < rows; ++y) {
-    const float *inside_x = scratch.inside_x.data(), *from = continued + y * stride;
-    const float inside_y = scratch.inside_y[y];
-    float* to = tile + y * stride;
-#pragma omp simd
-    for (int x = 0; x < cols; ++x) to[x] += kOverRelaxation * (1 - inside_x[x] * inside_y) * (from[x] - to[x]);
-  }
+  tile_simd_.continue_tile(cols, rows, kOverRelaxation, scratch.inside_x.data(), scratch.inside_y.data(), continued,
+                           tile);
 }
 
-template <typename Pixel>
 void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse, const Level& level,
                                 Scratch& scratch) {
   const Plan &plan_across = level.plans.at(cell.tile.width), &plan_down = level.plans.at(cell.tile.height);
@@ -266,33 +243,35 @@ void FourierFilter::filter_cell(const Cell& cell, const WienerInverse2d& inverse
   const int channels = static_cast<int>(level.images.size());
   float* tiles = floats_in(scratch.tiles, channels * rows * stride);
   float* transform = floats_in(scratch.transform, fourier_scratch(std::max(cols, rows)));
-  float* gain = floats_in(scratch.gain_rows, 2 * simd_.lanes * cols);
-  scratch.row.resize(std::max<std::size_t>(scratch.row.size(), cols));
+  // At the end of the image the gains are needed twice.
+  const bool at_the_end = cell.at_the_end;
+  float* gains = floats_in(scratch.gains, 2 * (at_the_end ? rows / 2 : simd_.lanes) * cols);
+  float* again = at_the_end ? floats_in(scratch.again, rows * cols) : nullptr;
   make_ramp(cols - window.width, scratch.fade_x);
   make_ramp(rows - window.height, scratch.fade_y);
   scratch.gain.set(inverse, plan, plan_across.band, plan_down.band);
+  for (int row = 0; row < rows / 2 && at_the_end; row += simd_.lanes) {
+    scratch.gain.rows(row, gains + 2 * row * cols, again + 2 * row * cols);
+  }
   for (int channel = 0; channel < channels; ++channel) {
     float* tile = tiles + channel * rows * stride;
-    load_tile<Pixel>(level.images[channel], cell, scratch, tile);
-    if (cell.at_the_end) continue_tile(level, cell, plan, scratch, tile);
+    load_tile(level.images[channel], cell, scratch, tile);
+    if (at_the_end) continue_tile(level, cell, plan, scratch, tile);
     simd_.transform_columns(plan, tile, transform);
   }
   for (int row = 0; row < rows / 2; row += simd_.lanes) {
-    scratch.gain.rows(row, false, gain);
+    const float* gain = gains + (at_the_end ? 2 * row * cols : 0);
+    if (!at_the_end) scratch.gain.rows(row, gains);
     for (int channel = 0; channel < channels; ++channel) {
       simd_.filter_rows(plan, row, gain, 0, window.width, tiles + channel * rows * stride, transform);
     }
   }
   const float *weights_x = level.across.weights[cell.col].data(), *weights_y = level.down.weights[cell.row].data();
   float* to = results_.data() + cell.result;
-  for (int channel = 0; channel < channels; ++channel) {
+  for (int channel = 0; channel < channels; ++channel, to += window.area()) {
     float* tile = tiles + channel * rows * stride;
     simd_.restore_columns(plan, 0, window.width, tile, transform);
-    for (int y = 0; y < window.height; ++y, to += window.width) {
-      const float *from = tile + y * stride, weight_y = weights_y[y];
-#pragma omp simd
-      for (int x = 0; x < window.width; ++x) to[x] = from[x] * (weights_x[x] * weight_y);
-    }
+    tile_simd_.weigh(tile, cols, window.width, window.height, weights_x, weights_y, to);
   }
 }
 
@@ -338,25 +317,23 @@ void FourierFilter::overlap_add(int level_index, const Part& part, const cv::Rec
         results_.data() + cell.result + in_window.x +
         (static_cast<std::ptrdiff_t>(channel.value_or(0)) * cell.window.height + in_window.y) * cell.window.width;
     float* sum = to.data() + static_cast<std::ptrdiff_t>(in_part.y) * part.pixels.width + in_part.x;
-    for (int y = 0; y < both.height; ++y, sum += part.pixels.width, results += cell.window.width) {
-      if (channel) {
+    if (channel) {
+      tile_simd_.add(results, cell.window.width, both.width, both.height, sum, part.pixels.width);
+      continue;
+    }
+    for (int y = 0; y < both.height; ++y, sum += part.pixels.width) {
 #pragma omp simd
-        for (int x = 0; x < both.width; ++x) sum[x] += results[x];
-      } else {
-#pragma omp simd
-        for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
-      }
+      for (int x = 0; x < both.width; ++x) sum[x] += weights_x[x] * weights_y[y];
     }
   }
   if (level_index == WHOLE) return;
   sums.resize(static_cast<std::size_t>(rect.area()));
-  double_size(part.pixels, to.data(), rect, scratch.of_doubling, sums.data());
+  double_size(part.pixels, to.data(), rect, scratch.of_doubling, sums.data(), half_size_simd_);
 }
 
 template <typename Pixel>
 void FourierFilter::write_block(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch,
                                 cv::Mat& dst) const {
-  constexpr float kMax = std::numeric_limits<Pixel>::max();
   const int channels = dst.channels();
   for (const SeamBlender::Part<Pixel>& piece : seams.parts<Pixel>(block, dst)) {
     const cv::Rect& rect = piece.rect;
@@ -383,31 +360,16 @@ void FourierFilter::write_block(int block, const FilterGrid& grid, SeamBlender& 
       const float* weights = scratch.weights[first].data();
       if (is_mixed) {
         const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
-        for (std::size_t i = 0; i < area; ++i) {
-          // The low pass reaches a little beyond a window, with a negative weight.
-          const bool has_half = weights_of_halves[i] > 0 || weights[i] <= 0;
-          values[i] = (values[i] + (has_half ? halves[i] : 0)) / (weights[i] + (has_half ? weights_of_halves[i] : 0));
-        }
+        tile_simd_.mix_sizes(halves, weights_of_halves, weights, rect.area(), values);
       } else if (has_weights) {
 #pragma omp simd
         for (std::size_t i = 0; i < area; ++i) values[i] /= weights[i];
       }
-      // In steps that vectorise each: float clipped, float to int, int to pixel.
-      scratch.whole_numbers.resize(area);
-      int* numbers = scratch.whole_numbers.data();
-#pragma omp simd
-      for (std::size_t i = 0; i < area; ++i) {
-        const float positive = values[i] > 0 ? values[i] : 0;  // nor is it NaN
-        numbers[i] = static_cast<int>((positive < kMax ? positive : kMax) + 0.5f);
-      }
-      for (int y = 0; y < rect.height; ++y, numbers += rect.width) {
-        Pixel* to = piece.to + y * piece.stride + channel;
-        if (channels == 1) {
-#pragma omp simd
-          for (int x = 0; x < rect.width; ++x) to[x] = static_cast<Pixel>(numbers[x]);
-        } else {
-          for (int x = 0; x < rect.width; ++x) to[x * channels] = static_cast<Pixel>(numbers[x]);
-        }
+      Pixel* to = piece.to + channel;
+      if constexpr (sizeof(Pixel) == 1) {
+        tile_simd_.store_bytes(values, rect.width, rect.height, channels, to, piece.stride);
+      } else {
+        tile_simd_.store_words(values, rect.width, rect.height, channels, to, piece.stride);
       }
     }
   }
@@ -418,17 +380,16 @@ void FourierFilter::filter_as(const cv::Mat& src, const FilterGrid& grid, const 
                               SeamBlender& seams, cv::Mat& dst) {
   make_tiles(grid, blocks, src.channels());
   prepare_images(src, threads);
-  const WienerGain2dSimd& gain_simd = *find_for_cpu<WienerGain2dSimd>(simd_.name);
-  while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_simd);
+  while (static_cast<int>(scratch_.size()) < threads) scratch_.emplace_back(gain_simd_);
   const std::vector<Cell>&of_whole = levels_[WHOLE].cells, &of_half = levels_[HALF].cells;
   const int wholes = static_cast<int>(of_whole.size()), halves = static_cast<int>(of_half.size());
   parallel_for(wholes + halves, threads, 1, [&](int i, int thread) {
     if (i < wholes) {
       const WienerInverse2d& inverse = *grid.blocks[of_whole[i].block].inverse;
-      filter_cell<Pixel>(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
+      filter_cell(of_whole[i], inverse, levels_[WHOLE], scratch_[thread]);
     } else {
       const Cell& cell = of_half[i - wholes];
-      filter_cell<float>(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
+      filter_cell(cell, at_half_size(*grid.blocks[cell.block].inverse), levels_[HALF], scratch_[thread]);
     }
   });
   constexpr int kBlocksAtATime = 4;

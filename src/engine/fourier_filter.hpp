@@ -10,7 +10,9 @@
 #include "base/fourier.hpp"
 #include "base/fourier_simd.hpp"
 #include "engine/engine.hpp"
+#include "engine/half_size_simd.hpp"
 #include "engine/seam_blender.hpp"
+#include "engine/tile_simd.hpp"
 #include "inverse/wiener_gain_2d.hpp"
 
 namespace gyro_deblur {
@@ -72,10 +74,9 @@ class FourierFilter {
   struct Scratch {
     explicit Scratch(const WienerGain2dSimd& gain_simd) : gain(gain_simd) {}
     WienerGain2d gain;
-    std::vector<CacheLine> tiles, continued, gain_rows, transform;
-    std::vector<float> fade_x, fade_y, row, edge, inside_x, inside_y;
+    std::vector<CacheLine> tiles, continued, gains, again, transform, row;
+    std::vector<float> fade_x, fade_y, inside_x, inside_y;
     std::vector<float> values[LEVELS], weights[LEVELS], halves, of_doubling;
-    std::vector<int> whole_numbers;
     Part parts[LEVELS];
   };
 
@@ -87,12 +88,10 @@ class FourierFilter {
   void add_cell(int col, int row, int block, const Eigen::Vector2f& extent_px, int channels, int level);
   static Plan make_plan(int size, int largest_radix, int level);
   void prepare_images(const cv::Mat& src, int threads);
-  template <typename Pixel>
-  static void load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile);
+  void load_tile(const cv::Mat& image, const Cell& cell, Scratch& scratch, float* tile) const;
   /// Replaces what a tile has from outside of the image.
   void continue_tile(const Level& level, const Cell& cell, const FourierTile& plan, Scratch& scratch,
                      float* tile) const;
-  template <typename Pixel>
   void filter_cell(const Cell& cell, const WienerInverse2d& inverse, const Level& level, Scratch& scratch);
   template <typename Pixel>
   void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
@@ -106,6 +105,9 @@ class FourierFilter {
   void write_block(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch, cv::Mat& dst) const;
 
   const FourierSimd& simd_;
+  const WienerGain2dSimd& gain_simd_;
+  const TileSimd& tile_simd_;
+  const HalfSizeSimd& half_size_simd_;
   Level levels_[LEVELS];
   std::vector<cv::Mat> planes_;  // of an image with several channels
   std::vector<float> results_;   // 16 bytes a pixel and channel where all blocks are filtered at the whole size

@@ -5,13 +5,9 @@
 
 #include <opencv2/core.hpp>
 
-namespace gyro_deblur {
+#include "engine/half_size_simd.hpp"
 
-/// Taps of the low pass before both: symmetric and equiripple (T. W. Parks and J. H. McClellan, IEEE Trans. Circuit
-/// Theory 19 (2), 1972), by scipy.signal.remez(8, [0, .19, .31, .5], [1, 0], weight=[1, 10]). Every second tap sums to
-/// half, so that neither parity of pixels is brighter.
-constexpr float kHalvingTaps[] = {-0.0388f, -0.0084f, 0.1709f, 0.3763f, 0.3763f, 0.1709f, -0.0084f, -0.0388f};
-constexpr int kHalvingTapCount = 8;
+namespace gyro_deblur {
 
 /// Gain of the low pass at f cycles/px, along one axis.
 double lowpass_response(double f);
@@ -20,7 +16,8 @@ double lowpass_response(double f);
 /// its edge goes on. On at most `threads` threads.
 /// @param src   CV_8UC1 or CV_16UC1, not empty
 /// @param half  CV_32FC1 with half of the columns and rows, rounded up; (re)allocated when needed
-void downsample2x(const cv::Mat& src, int threads, cv::Mat& half);
+void downsample2x(const cv::Mat& src, int threads, cv::Mat& half,
+                  const HalfSizeSimd& simd = select_for_cpu<HalfSizeSimd>());
 
 /// What double_size() takes for `rect` of an image from its half, which has the size `half`.
 cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half);
@@ -30,6 +27,6 @@ cv::Rect needed_of_half(const cv::Rect& rect, cv::Size half);
 /// @param scratch  memory that is kept
 /// @param result   rect.area() floats, row by row
 void double_size(const cv::Rect& part, const float* pixels, const cv::Rect& rect, std::vector<float>& scratch,
-                 float* result);
+                 float* result, const HalfSizeSimd& simd = select_for_cpu<HalfSizeSimd>());
 
 }  // namespace gyro_deblur

@@ -28,13 +28,13 @@ class WienerGain2d {
 
   /// Gain at frequencies down of first_row .. first_row + lanes - 1 (first_row a multiple of lanes), as
   /// FourierSimd::filter_rows takes it: 2 * lanes * across.size floats. 0 at half a cycle a pixel across.
-  /// @param blurs_again  the gain of the inverse and the blur after it: G(f) H(f), 0 to 1 + N(0), times the band
-  void rows(int first_row, bool blurs_again, float* gain);
+  /// @param again  if not null, as many floats: the gain of the inverse and the blur after it, G(f) H(f), 0 to
+  ///               1 + N(0), times its band
+  void rows(int first_row, float* gain, float* again = nullptr);
 
  private:
   const WienerGain2dSimd& simd_;
   WienerGain2dTables tables_{};
-  const PlaneBand *band_across_ = nullptr, *band_down_ = nullptr;
   std::vector<float> across_, down_;  // of tables_
 };
 

@@ -35,8 +35,7 @@ class WienerGain2dTest : public testing::TestWithParam<const char*> {
     gain.set(inverse, {plan.stages(), plan_down.stages()}, band_across, band_down);
     std::vector<float> of_rows(2 * lanes_ * size.width), of_reblur(2 * lanes_ * size.width);
     for (int row = 0; row < size.height / 2; row += lanes_) {
-      gain.rows(row, false, of_rows.data());
-      gain.rows(row, true, of_reblur.data());
+      gain.rows(row, of_rows.data(), of_reblur.data());
       for (int u = 0; u < size.width; ++u) {
         const int place = plan.stages().places[u] * 2 * lanes_;
         const auto at = [&](const std::vector<float>& rows, int i) {
