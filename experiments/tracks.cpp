@@ -1,6 +1,7 @@
 // How far tracks are from their scene points, frame to frame and since they were first seen, and for how long they stay
-// on them: FeatureTracker on raw and on sharp images, Lucas-Kanade on blurred, deblurred and sharp ones. Writes the
-// tables and data of doc/reports/tracks.md.
+// on them: FeatureTracker on raw and on sharp images, Lucas-Kanade on blurred, deblurred and sharp ones. Of recordings,
+// which have no truth, how many corners are followed and how far they are from their epipolar lines. Writes the tables
+// and data of doc/reports/tracks.md.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,6 +24,7 @@
 #include "gyro_deblur/feature_tracker.hpp"
 #include "gyro_deblur/pipeline.hpp"
 #include "lk_tracker.hpp"
+#include "recorded_tracks.hpp"
 #include "result_table.hpp"
 #include "tools/progress.hpp"
 #include "tools/tool_main.hpp"
@@ -32,6 +34,7 @@ namespace {
 
 struct Arguments {
   std::string data = GYRO_DEBLUR_DATA_DIR, output;
+  std::vector<std::string> recording;  // folder and description; empty: simulated flights
   double seconds = 6;
   std::vector<std::uint64_t> flights{0, 1, 2};
   std::vector<double> exposures_ms{30}, speeds{1, 1.7};
@@ -235,7 +238,26 @@ void report(const Arguments& arguments, const Study& study) {
   lengths.write(arguments.output, "track_lengths");
 }
 
+void follow_recording(const Arguments& arguments) {
+  constexpr double kNearPx = 1;
+  ResultTable table({"tracker", "images apart", "tracks an image", "within 1 px", "median [px]", "p90 [px]"});
+  for (const SharedCorners& followed : recorded_tracks(arguments.recording[0], arguments.recording[1])) {
+    if (followed.pairs == 0) continue;
+    const std::vector<double>& px = followed.distances_px;
+    const auto near = std::count_if(px.begin(), px.end(), [](double distance_px) { return distance_px <= kNearPx; });
+    table.add({followed.tracker, std::to_string(followed.images_apart),
+               text_of(static_cast<double>(px.size()) / followed.pairs, 1),
+               text_of(static_cast<double>(near) / followed.pairs, 1), text_of(quantile(px, 0.5), 2),
+               text_of(quantile(px, 0.9), 2)});
+  }
+  std::printf("%s", table.markdown().c_str());
+  if (arguments.output.empty()) return;
+  std::filesystem::create_directories(arguments.output);
+  table.write(arguments.output, "recorded_tracks");
+}
+
 void run(Arguments arguments) {
+  if (!arguments.recording.empty()) return follow_recording(arguments);
   if (arguments.quick) {
     arguments.flights = {0, 2};
     arguments.speeds = {1.7};
@@ -274,6 +296,9 @@ int main_of(int argc, char** argv) {
   CommandLine app{"How far tracks are from their scene points, and for how long they stay on them.", "tracks"};
   app.add_option("--out", arguments.output, "folder for the tables");
   app.add_option("--data", arguments.data, "recorded data, with trajectories/");
+  app.add_option("--recording", arguments.recording,
+                 "folder and description, see config/recordings: its images instead of simulated flights")
+      .values(2);
   app.add_option("--seconds", arguments.seconds, "of each flight [6]").range(1.0, 30.0);
   app.add_option("--flights", arguments.flights, "numbers of flights, from 0 [0 1 2]").range(0, 2);
   app.add_option("--exposures", arguments.exposures_ms, "[30 ms]").range(1.0, 50.0);

@@ -1,7 +1,10 @@
 #!/usr/bin/env python3
-"""tracks --quick: FeatureTracker errs less than Lucas-Kanade, on blurred and on sharp images; the plot."""
+"""tracks --quick: FeatureTracker errs less than Lucas-Kanade, on blurred and on sharp images; the plot. On a recorded
+burst it follows more corners."""
 
-from quick_test import QuickTest, main
+import unittest
+
+from quick_test import ROOT, QuickTest, main
 
 
 class Quick(QuickTest):
@@ -37,6 +40,25 @@ class Quick(QuickTest):
 
     def test_plot_is_drawn(self):
         self.check_drawn("tracks.png")
+
+
+class Recording(QuickTest):
+    """A hand-held tablet, about 100 px of blur."""
+
+    @classmethod
+    def setUpClass(cls):
+        folder = cls.arguments.data / "shield_burst"
+        if not folder.exists():
+            raise unittest.SkipTest(f"there is no {folder}")
+        cls.ARGUMENTS = "--recording", folder, ROOT / "config" / "recordings" / "shield_burst.yaml"
+        super().setUpClass()
+        cls.near = {(row["tracker"], int(row["images apart"])): float(row["within 1 px"])
+                    for row in cls.rows("recorded_tracks.csv")}
+
+    def test_more_corners_agree_with_one_translation(self):
+        for other in "LK, raw", "LK, deblurred":
+            self.assertGreater(self.near["FeatureTracker, raw", 1], 1.3 * self.near[other, 1], msg=other)
+            self.assertGreater(self.near["FeatureTracker, raw", 3], 2 * self.near[other, 3], msg=other)
 
 
 if __name__ == "__main__":

@@ -68,6 +68,38 @@ TEST_F(EpipolarCheckTest, AnObjectBeforeAWallThatMovesByItselfIsFound) {
   EXPECT_EQ(count(agrees, 100, 107), 0);
 }
 
+TEST_F(EpipolarCheckTest, ALargeObjectThatMovesByItselfIsFound) {
+  add_scene(100, {0.03, 0, 0.02}, 3);
+  for (int i = 0; i < 30; ++i) {
+    turned_.emplace_back(0.02 * (i % 6), 0.02 * (i / 6), 1);
+    seen_.emplace_back(turned_.back() + Eigen::Vector3d(2, 7, 0) / kFocalPx);
+  }
+  const std::vector<char> agrees = check();
+  EXPECT_GE(count(agrees, 0, 100), 99);
+  EXPECT_EQ(count(agrees, 100, 130), 0);
+}
+
+// A gyroscope's bias or a readout time that is a little off leaves one.
+TEST_F(EpipolarCheckTest, ASmallErrorOfTheRotationCostsNoPointOfTheScene) {
+  for (const Eigen::Vector3d& translation_m : {Eigen::Vector3d(0.05, 0, 0), {0.02, -0.03, 0.01}, {0, 0, 0.1}}) {
+    for (const Eigen::Vector3d& error_px : {Eigen::Vector3d(0, 0, 1.5), {2, 0, 0}, {-1, 1.5, 1}}) {
+      turned_.clear();
+      seen_.clear();
+      add_scene(100, translation_m, 3);
+      const Eigen::Vector3d error_rad = error_px / kFocalPx;
+      for (Eigen::Vector3d& ray : turned_) {
+        ray = Eigen::AngleAxisd(error_rad.norm(), error_rad.normalized()).toRotationMatrix() * ray;
+      }
+      for (std::size_t i = 0; i < 10; ++i) {
+        seen_[i].head<2>() += 6 / kFocalPx * translation_m.cross(turned_[i]).head<2>().normalized();
+      }
+      const std::vector<char> agrees = check();
+      EXPECT_LE(count(agrees, 0, 10), 1) << translation_m.transpose() << ", " << error_px.transpose();
+      EXPECT_GE(count(agrees, 10, 100), 88) << translation_m.transpose() << ", " << error_px.transpose();
+    }
+  }
+}
+
 TEST_F(EpipolarCheckTest, WithoutTheRotationPointsOfTheSceneAgreeStill) {
   add_scene(100, {0.05, 0.02, 0.03}, 3);
   const Eigen::Matrix3d rotation =
