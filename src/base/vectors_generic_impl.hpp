@@ -81,10 +81,26 @@ inline void store_pixels(Pixel* to, Vector v) {
 using Pair = std::int32_t;
 /// A pixel and the next one, as what add_pairs() reads.
 inline Pair pair_at(const std::uint8_t* from) { return from[0] | (from[1] << 16); }
+/// The same of any two pixels.
+inline Pair pair_of(const std::uint8_t* first, const std::uint8_t* second) { return *first | (*second << 16); }
+/// Pairs of kLanes pixels and as many others.
+inline void store_pairs(Pair* to, const std::uint8_t* first, const std::uint8_t* second) {
+  typedef std::uint8_t Pixels __attribute__((vector_size(kLanes)));
+  typedef std::int16_t Words __attribute__((vector_size(2 * kLanes)));
+  // One size at a time: compilers take wider steps lane by lane.
+  const IntVector low = __builtin_convertvector(__builtin_convertvector(load_as<Pixels>(first), Words), IntVector),
+                  high = __builtin_convertvector(__builtin_convertvector(load_as<Pixels>(second), Words), IntVector),
+                  pairs = low | (high << 16);
+  std::memcpy(to, &pairs, sizeof pairs);
+}
 /// acc + low half of `weights` * pixel + high half * next pixel, of kLanes pairs.
 inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
   const IntVector pixels = load(from), pair = IntVector{} + weights, low = (pair << 16) >> 16, high = pair >> 16;
   return acc + (pixels & 0xffff) * low + (pixels >> 16) * high;
+}
+/// The same where the second pixel of a pair is the first of the one `next` farther.
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::ptrdiff_t, std::int32_t weights) {
+  return add_pairs(acc, from, weights);
 }
 
 /// Elements of a window of 2 kLanes + 4 by their index, below 1.5 kLanes + 4.

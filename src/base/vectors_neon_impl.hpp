@@ -37,10 +37,19 @@ inline void store_pixels(Pixel* to, Vector v) {
 // second one is in the next.
 using Pair = std::int16_t;
 inline Pair pair_at(const std::uint8_t* from) { return from[0]; }
-inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
+inline Pair pair_of(const std::uint8_t* first, const std::uint8_t*) { return *first; }
+inline void store_pairs(Pair* to, const std::uint8_t* first, const std::uint8_t*) {
+  std::uint32_t four;
+  std::memcpy(&four, first, sizeof four);
+  vst1_s16(to, vreinterpret_s16_u16(vget_low_u16(vmovl_u8(vcreate_u8(four)))));
+}
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::ptrdiff_t next, std::int32_t weights) {
   const auto low = static_cast<std::int16_t>(weights), high = static_cast<std::int16_t>(weights >> 16);
   const int32x4_t first = vmlal_n_s16((int32x4_t)acc, vld1_s16(from), low);
-  return (IntVector)vmlal_n_s16(first, vld1_s16(from + 1), high);
+  return (IntVector)vmlal_n_s16(first, vld1_s16(from + next), high);
+}
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
+  return add_pairs(acc, from, 1, weights);
 }
 
 #if defined(__ARM_FEATURE_DOTPROD)

@@ -65,8 +65,27 @@ inline IntVector multiply_pairs(IntVector acc, IntVector pixels, IntVector weigh
 
 using generic::Pair;
 using generic::pair_at;
+using generic::pair_of;
+inline void store_pairs(Pair* to, const std::uint8_t* first, const std::uint8_t* second) {
+#if defined(__AVX512F__)
+  const __m512i low = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)first)),
+                high = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)second));
+  _mm512_storeu_si512(to, _mm512_or_si512(low, _mm512_slli_epi32(high, 16)));
+#elif defined(__AVX2__)
+  const __m256i low = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)first)),
+                high = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)second));
+  _mm256_storeu_si256((__m256i*)to, _mm256_or_si256(low, _mm256_slli_epi32(high, 16)));
+#else
+  const __m128i low = _mm_unpacklo_epi8(_mm_cvtsi32_si128(load_as<int>(first)), _mm_setzero_si128()),
+                high = _mm_unpacklo_epi8(_mm_cvtsi32_si128(load_as<int>(second)), _mm_setzero_si128());
+  _mm_storeu_si128((__m128i*)to, _mm_unpacklo_epi16(low, high));
+#endif
+}
 inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights) {
   return multiply_pairs(acc, load(from), IntVector{} + weights);
+}
+inline IntVector add_pairs(IntVector acc, const Pair* from, std::ptrdiff_t, std::int32_t weights) {
+  return add_pairs(acc, from, weights);
 }
 
 #if defined(__AVX512VBMI__) && defined(__AVX512VNNI__)

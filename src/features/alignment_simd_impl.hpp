@@ -10,25 +10,64 @@ typedef float Taps __attribute__((vector_size(4 * kInterpolationStride)));
 static_assert(kInterpolationStride == 8, "two halves");
 static_assert(kLanes <= kPatchRoom, "whole vectors are read and written");
 
-void widen(const unsigned char* bytes, std::ptrdiff_t byte_stride, float* written, std::ptrdiff_t stride, int width,
-           int height) {
-  typedef unsigned char Pixels __attribute__((vector_size(kLanes)));
-  typedef std::int16_t Shorts __attribute__((vector_size(2 * kLanes)));
-  for (int y = 0; y < height; ++y) {
+void make_pairs(const unsigned char* bytes, std::ptrdiff_t byte_stride, std::ptrdiff_t next, void* pairs,
+                std::ptrdiff_t stride, int width, int height) {
+  // Where a pair has its first pixel alone, the second one of the last is in one more.
+  constexpr bool kHaveBoth = sizeof(Pair) == 4;
+  const int columns = width + (!kHaveBoth && next == 1 ? 1 : 0), rows = height + (!kHaveBoth && next != 1 ? 1 : 0);
+  for (int y = 0; y < rows; ++y) {
     const unsigned char* from = bytes + y * byte_stride;
-    float* to = written + y * stride;
-    if (width < kLanes) {
-      for (int x = 0; x < width; ++x) to[x] = from[x];
+    Pair* to = static_cast<Pair*>(pairs) + y * stride;
+    if (columns < kLanes) {
+      for (int x = 0; x < columns; ++x) to[x] = pair_of(from + x, from + x + next);
       continue;
     }
     // The last vector overlaps the one before: nothing is read beyond the image.
-    for (int x = 0; x < width; x += kLanes) {
-      const int at = x + kLanes <= width ? x : width - kLanes;
-      const Pixels values = load_as<Pixels>(from + at);
-      // One size at a time: compilers take wider steps lane by lane.
-      const IntVector wide = __builtin_convertvector(__builtin_convertvector(values, Shorts), IntVector);
-      store(to + at, __builtin_convertvector(wide, Vector));
+    for (int x = 0; x < columns; x += kLanes) {
+      const int at = x + kLanes <= columns ? x : columns - kLanes;
+      store_pairs(to + at, from + at, from + at + next);
     }
+  }
+}
+
+/// Two rows at a time: independent sums hide the latency of each.
+template <int kVectors>
+inline void convolve_pair_strip(const Pair* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
+                                const std::int32_t* weights, int taps, float scale, float* written,
+                                std::ptrdiff_t stride, int height) {
+  for (int y = 0; y < height; y += 2) {
+    const int second = y + 1 < height ? y + 1 : y;
+    const Pair *upper = pairs + y * pair_stride, *lower = pairs + second * pair_stride;
+    IntVector above[kVectors] = {}, below[kVectors] = {};
+    for (int k = 0; k < taps; ++k) {
+      const std::int32_t weight = weights[k];
+      const int offset = offsets[k];
+      for (int i = 0; i < kVectors; ++i) {
+        above[i] = add_pairs(above[i], upper + offset + i * kLanes, next, weight);
+        below[i] = add_pairs(below[i], lower + offset + i * kLanes, next, weight);
+      }
+    }
+    for (int i = 0; i < kVectors; ++i) {
+      store(written + y * stride + i * kLanes, scale * __builtin_convertvector(above[i], Vector));
+      store(written + second * stride + i * kLanes, scale * __builtin_convertvector(below[i], Vector));
+    }
+  }
+}
+
+void convolve_pairs(const void* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
+                    const std::int32_t* weights, int taps, float scale, float* written, std::ptrdiff_t stride,
+                    int width, int height) {
+  int x = 0;
+  for (int left = (width + kLanes - 1) / kLanes; left > 0;) {
+    const int vectors = left > 4 ? 3 : left;
+    const auto strip = vectors == 1   ? convolve_pair_strip<1>
+                       : vectors == 2 ? convolve_pair_strip<2>
+                       : vectors == 3 ? convolve_pair_strip<3>
+                                      : convolve_pair_strip<4>;
+    strip(static_cast<const Pair*>(pairs) + x, pair_stride, next, offsets, weights, taps, scale, written + x, stride,
+          height);
+    x += vectors * kLanes;
+    left -= vectors;
   }
 }
 
@@ -85,39 +124,155 @@ void sort_by_three(const float* __restrict pixels, float* __restrict sorted, int
   }
 }
 
-/// Interpolated at a pixel but for the sum of its lanes.
-inline FourFloats interpolate(const float* pixels, std::ptrdiff_t stride, const float* table, float at_x, float at_y) {
-  const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
-  const int step_x = static_cast<int>((at_x - static_cast<float>(left)) * kInterpolationSteps + 0.5f),
-            step_y = static_cast<int>((at_y - static_cast<float>(top)) * kInterpolationSteps + 0.5f);
-  const float *across = table + step_x * kInterpolationStride, *down = table + step_y * kInterpolationStride,
-              *row = pixels + top * stride + left;
-  Taps even = {}, odd = {}, values, weights;
-  for (int j = 0; j < kInterpolationTaps; j += 2, row += 2 * stride) {
-    std::memcpy(&values, row, sizeof values);
-    even += down[j] * values;
-    std::memcpy(&values, row + stride, sizeof values);
-    odd += down[j + 1] * values;
-  }
+/// 0, 1, 2 and so on, `last` at most.
+inline Vector count_to(float last) {
+  Vector counting, lasts = Vector{} + last;
+  for (int i = 0; i < kLanes; ++i) counting[i] = static_cast<float>(i);
+  return counting < lasts ? counting : lasts;
+}
+
+/// Places between pixels, all >= 0: where the row of the table is that has their weights, and the first pixel.
+struct TablePlaces {
+  std::int32_t weights[kLanes], pixels[kLanes];
+};
+inline void look_up(Vector at, TablePlaces* places) {
+  const IntVector whole = __builtin_convertvector(at, IntVector);
+  const Vector fraction = at - __builtin_convertvector(whole, Vector);
+  const IntVector steps = __builtin_convertvector(fraction * kInterpolationSteps + 0.5f, IntVector);
+  const IntVector weights = steps * kInterpolationStride;
+  std::memcpy(places->weights, &weights, sizeof weights);
+  std::memcpy(places->pixels, &whole, sizeof whole);
+}
+
+/// Products with a row of the table, but for the sum of the lanes.
+inline FourFloats weigh(const Taps& values, const float* across) {
+  Taps weights;
   std::memcpy(&weights, across, sizeof weights);
-  const Taps products = (even + odd) * weights;
+  const Taps products = values * weights;
   FourFloats halves[2];
   std::memcpy(halves, &products, sizeof products);
   return halves[0] + halves[1];
 }
 
+/// Sums of the lanes of lanes_at(i) for i < count <= kLanes, a multiple of four of which are written.
+template <typename Lanes>
+inline void sum_lanes(int count, float* sums, Lanes&& lanes_at) {
+  for (int i = 0; i < count; i += 4) {
+    const FourFloats lanes[4] = {lanes_at(i), lanes_at(i + 1), lanes_at(i + 2), lanes_at(i + 3)};
+    const FourFloats four = reduce_add_four(lanes);
+    std::memcpy(sums + i, &four, sizeof four);
+  }
+}
+
 void sample_row(const float* pixels, std::ptrdiff_t stride, const float* table, float x, float y, float dx, float dy,
                 int count, float* sampled) {
-  constexpr int kAtATime = 4;
-  for (int i = 0; i < count; i += kAtATime) {
-    const int left = count - i < kAtATime ? count - i : kAtATime;
-    FourFloats lanes[kAtATime];
-    for (int j = 0; j < kAtATime; ++j) {
-      const auto at = static_cast<float>(i + (j < left ? j : 0));
-      lanes[j] = interpolate(pixels, stride, table, x + at * dx, y + at * dy);
+  for (int i = 0; i < count; i += kLanes) {
+    const Vector at = static_cast<float>(i) + count_to(static_cast<float>(count - 1 - i));
+    TablePlaces across, down;
+    look_up(x + dx * at, &across);
+    look_up(y + dy * at, &down);
+    sum_lanes(count - i < kLanes ? count - i : kLanes, sampled + i, [&](int lane) {
+      const float *weights = table + down.weights[lane],
+                  *row = pixels + down.pixels[lane] * stride + across.pixels[lane];
+      Taps even = {}, odd = {}, values;
+      for (int k = 0; k < kInterpolationTaps; k += 2, row += 2 * stride) {
+        std::memcpy(&values, row, sizeof values);
+        even += weights[k] * values;
+        std::memcpy(&values, row + stride, sizeof values);
+        odd += weights[k + 1] * values;
+      }
+      return weigh(even + odd, table + across.weights[lane]);
+    });
+  }
+}
+
+/// Weighted sum of six values in each lane.
+inline Vector weigh(const Vector* values, const Interpolation& interpolation, Vector fraction) {
+  const Vector s = fraction - 0.5f, square = s * s;
+  Vector sum = {};
+  for (int k = 0; k < kInterpolationTaps / 2; ++k) {
+    const float *e = interpolation.even[k], *o = interpolation.odd[k];
+    const Vector even = e[0] + square * (e[1] + square * e[2]), odd = s * (o[0] + square * (o[1] + square * o[2]));
+    const Vector near = values[k], far = values[kInterpolationTaps - 1 - k];
+    sum += even * (near + far) + odd * (far - near);
+  }
+  return sum;
+}
+
+/// Interpolates along y, at y + dy * x for the columns x < count.
+inline void sample_columns(const float* pixels, std::ptrdiff_t stride, const Interpolation& interpolation, float y,
+                           float dy, int count, float* sampled) {
+  for (int x = 0; x < count; x += kLanes) {
+    const Vector at = y + dy * (static_cast<float>(x) + count_to(static_cast<float>(count - 1 - x)));
+    const IntVector tops = __builtin_convertvector(at, IntVector);
+    const int begin = tops[0], end = tops[kLanes - 1], first = begin < end ? begin : end,
+              last = begin < end ? end : begin;
+    const float* row = pixels + first * stride + x;
+    Vector values[kInterpolationTaps];
+    for (int k = 0; k < kInterpolationTaps; ++k) values[k] = load(row + k * stride);
+    for (int top = first + 1; top <= last; ++top) {
+      row += stride;
+      const IntVector is_there = tops >= top;
+      for (int k = 0; k < kInterpolationTaps; ++k) values[k] = is_there ? load(row + k * stride) : values[k];
     }
-    const FourFloats sums = reduce_add_four(lanes);
-    std::memcpy(sampled + i, &sums, static_cast<std::size_t>(left) * sizeof(float));
+    store(sampled + x, weigh(values, interpolation, at - __builtin_convertvector(tops, Vector)));
+  }
+}
+
+/// pick() takes what is so far from the first at most.
+constexpr int kFarthestPick = 3 * kLanes / 2 + 3;
+
+/// Interpolates along x, at x + i * dx for i < count.
+/// @param dx  > 0
+inline void sample_along(const float* line, const Interpolation& interpolation, float x, float dx, int count,
+                         float* sampled) {
+  const int fit = 1 + static_cast<int>(static_cast<float>(kFarthestPick - kInterpolationTaps) / dx),
+            at_a_time = fit < kLanes ? fit : kLanes;
+  const Vector steps = dx * count_to(static_cast<float>(at_a_time - 1));
+  for (int i = 0; i < count; i += at_a_time) {
+    const Vector at = x + static_cast<float>(i) * dx + steps;
+    const IntVector lefts = __builtin_convertvector(at, IntVector), away = lefts - lefts[0];
+    const float* window = line + lefts[0];
+    Vector values[kInterpolationTaps];
+    for (int k = 0; k < kInterpolationTaps; ++k) values[k] = pick(window, away + k);
+    store(sampled + i, weigh(values, interpolation, at - __builtin_convertvector(lefts, Vector)));
+  }
+}
+
+/// Whether samples are close enough to each other, and in few enough rows, for all to be interpolated along y first.
+/// @param columns  that are read
+inline bool is_separable(const SampleGrid& grid, int columns) {
+  constexpr int kSamplesForVector = 4;
+  constexpr float kShortestStep = 0.5f, kSteepest = 0.2f;
+  return grid.dx >= kShortestStep && grid.dy * grid.dy <= kSteepest * kSteepest * grid.dx * grid.dx &&
+         columns * kSamplesForVector <= grid.width * kLanes;
+}
+
+void sample(const float* pixels, std::ptrdiff_t stride, const Interpolation& interpolation, const SampleGrid& grid,
+            float* sampled, std::ptrdiff_t sampled_stride) {
+  constexpr int kMostColumns = 256, kBefore = kInterpolationTaps / 2 - 1;
+  const float to_last = static_cast<float>(grid.width - 1) * grid.dx;
+  // Two columns more: by fractions of places, and by rounding.
+  const int columns = to_last < kMostColumns ? static_cast<int>(to_last) + kInterpolationTaps + 2 : kMostColumns + 1;
+  if (columns <= kMostColumns && is_separable(grid, columns)) {
+    const float slope = grid.dy / grid.dx;
+    float line[kMostColumns + 3 * kLanes + 4];
+    std::memset(line + round_up(columns, kLanes), 0, (2 * kLanes + 4) * sizeof(float));  // pick() reads a window
+    for (int row = 0; row < grid.height; ++row) {
+      const float x = grid.x + static_cast<float>(row) * grid.row_dx,
+                  y = grid.y + static_cast<float>(row) * grid.row_dy;
+      const int left = static_cast<int>(x);
+      sample_columns(pixels + left, stride, interpolation, y - slope * (x - static_cast<float>(left - kBefore)), slope,
+                     columns, line);
+      sample_along(line, interpolation, x - static_cast<float>(left), grid.dx, grid.width,
+                   sampled + row * sampled_stride);
+    }
+    return;
+  }
+  for (int row = 0; row < grid.height; ++row) {
+    sample_row(pixels, stride, interpolation.table, grid.x + static_cast<float>(row) * grid.row_dx,
+               grid.y + static_cast<float>(row) * grid.row_dy, grid.dx, grid.dy, grid.width,
+               sampled + row * sampled_stride);
   }
 }
 
@@ -231,8 +386,18 @@ void multiply_gradients(const float* ax, const float* ay, const float* bx, const
 }  // namespace
 
 extern const AlignmentSimd kAlignmentSimd;
-const AlignmentSimd kAlignmentSimd = {
-    GYRO_DEBLUR_ISA_NAME, widen,   convolve, sort_by_two, sort_by_three,           sample_row,
-    differentiate,        compare, combine,  project,     multiply_by_derivatives, multiply_gradients};
+const AlignmentSimd kAlignmentSimd = {GYRO_DEBLUR_ISA_NAME,
+                                      make_pairs,
+                                      convolve_pairs,
+                                      convolve,
+                                      sort_by_two,
+                                      sort_by_three,
+                                      sample,
+                                      differentiate,
+                                      compare,
+                                      combine,
+                                      project,
+                                      multiply_by_derivatives,
+                                      multiply_gradients};
 
 }  // namespace gyro_deblur::GYRO_DEBLUR_ISA

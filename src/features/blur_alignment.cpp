@@ -59,7 +59,7 @@ InterpolationWeights lanczos_weights(double fraction) {
   return weights / weights.sum();
 }
 
-/// For AlignmentSimd::sample_row().
+/// By steps of the fraction.
 const float* interpolation_table() {
   // Sines would take most of the time. Half a step is 0.0005 px, and not always to the same side.
   static const std::vector<float> table = [] {
@@ -71,6 +71,18 @@ const float* interpolation_table() {
     return weights;
   }();
   return table.data();
+}
+
+/// For AlignmentSimd::sample(). The polynomials are a least squares fit to lanczos_weights(), to 0.0001.
+const Interpolation& interpolation() {
+  static const Interpolation weights{interpolation_table(),
+                                     {{0.0244897f, -0.0905506f, -0.0301399f},
+                                      {-0.1358632f, 0.5702471f, -0.1072439f},
+                                      {0.6113735f, -0.4796966f, 0.1373839f}},
+                                     {{0.0637770f, -0.3051217f, 0.2003628f},
+                                      {-0.1808148f, 0.8301109f, -0.4281239f},
+                                      {1.3359838f, -1.5225440f, 0.7158705f}}};
+  return weights;
 }
 
 /// @param fraction  [0, 1]
@@ -121,7 +133,10 @@ void BlurAligner::Patch::resize(int width, int height) {
   stride_ = width + kPatchRoom;
   const auto needed = static_cast<std::size_t>(stride_ * height_ + kPatchRoom);
   if (pixels_.size() < needed) pixels_.resize(needed);
-  for (int y = 0; y < height; ++y) std::fill_n(row(y) + width, kPatchRoom, 0.0f);
+}
+
+void BlurAligner::Patch::clear_room() {
+  for (int y = 0; y < height_; ++y) std::fill_n(row(y) + width_, kPatchRoom, 0.0f);
 }
 
 void BlurAligner::choose_spacing(const Path2d& first_px, const Path2d& second_px) {
@@ -136,24 +151,30 @@ void BlurAligner::choose_spacing(const Path2d& first_px, const Path2d& second_px
 }
 
 void BlurAligner::blur(const cv::Mat& image, const PathPsf& psf, const PixelBox& box, Region* blurred) {
-  constexpr float kLeastShare = 1e-6f;  // rounding left it
+  constexpr float kWeightOfAll = 32767;  // a pixel may have all of it, and int16 no more
   const PixelBox read = box.grown(psf.reach);
-  source_.resize(read.width(), read.height());
-  simd_.widen(image.ptr(read.first_y) + read.first_x, static_cast<std::ptrdiff_t>(image.step), source_.row(0),
-              source_.stride(), read.width(), read.height());
+  const int stride = read.width() + kPatchRoom;
+  const bool is_below = psf.axis == 1;
+  const auto needed = static_cast<std::size_t>(stride * (read.height() + 1) + kPatchRoom);
+  if (pairs_.size() < needed) pairs_.resize(needed);
+  const auto image_stride = static_cast<std::ptrdiff_t>(image.step);
+  simd_.make_pairs(image.ptr(read.first_y) + read.first_x, image_stride, is_below ? image_stride : 1, pairs_.data(),
+                   stride, read.width() - (is_below ? 0 : 1), read.height() - (is_below ? 1 : 0));
   offsets_.clear();
-  shares_.clear();
-  for (int y = 0; y < psf.reach.height(); ++y) {
-    for (int x = 0; x < psf.reach.width(); ++x) {
-      if (!(psf.shares(y, x) > kLeastShare)) continue;
-      offsets_.push_back(y * source_.stride() + x);
-      shares_.push_back(psf.shares(y, x));
-    }
+  weights_.clear();
+  int sum = 0;
+  for (const PathPair& pair : psf.pairs) {
+    const int first = static_cast<int>(kWeightOfAll * pair.first + 0.5f),
+              second = static_cast<int>(kWeightOfAll * pair.second + 0.5f);
+    offsets_.push_back(pair.y * stride + pair.x);
+    weights_.push_back(first | second * (1 << 16));
+    sum += first + second;
   }
   blurred->box = box;
   blurred->patch.resize(box.width(), box.height());
-  simd_.convolve(source_.row(0), source_.stride(), offsets_.data(), shares_.data(), static_cast<int>(shares_.size()),
-                 blurred->patch.row(0), blurred->patch.stride(), box.width(), box.height());
+  simd_.convolve_pairs(pairs_.data(), stride, is_below ? stride : 1, offsets_.data(), weights_.data(),
+                       static_cast<int>(weights_.size()), 1 / static_cast<float>(sum), blurred->patch.row(0),
+                       blurred->patch.stride(), box.width(), box.height());
 }
 
 PixelBox BlurAligner::template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const {
@@ -207,17 +228,19 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
   constexpr int kMargin = kTemplateMargin;
   const int width = compared_columns(), height = compared_rows();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
-  const Eigen::Vector2f step_px = static_cast<float>(spacing_[0]) * inverse_map.col(0).cast<float>();
-  for (int y = 0; y < sampled_.height(); ++y) {
-    const Eigen::Vector2d offset_px(window_.first_x - kMargin * spacing_[0],
-                                    window_.first_y + (y - kMargin) * spacing_[1]);
-    const Eigen::Vector2f at_px = (place_px + inverse_map * offset_px -
-                                   Eigen::Vector2d(first_.box.first_x + kBefore, first_.box.first_y + kBefore))
-                                      .cast<float>();
-    simd_.sample_row(first_.patch.row(0), first_.patch.stride(), interpolation_table(), at_px.x(), at_px.y(),
-                     step_px.x(), step_px.y(), sampled_.width(), sampled_.row(y));
+  const Eigen::Vector2d first_px(window_.first_x - kMargin * spacing_[0], window_.first_y - kMargin * spacing_[1]);
+  const Eigen::Vector2f at_px =
+      (place_px + inverse_map * first_px - Eigen::Vector2d(first_.box.first_x + kBefore, first_.box.first_y + kBefore))
+          .cast<float>();
+  const Eigen::Matrix2f step_px = (inverse_map * px_per_compared()).cast<float>();
+  simd_.sample(first_.patch.row(0), first_.patch.stride(), interpolation(),
+               {sampled_.width(), sampled_.height(), at_px.x(), at_px.y(), step_px(0, 0), step_px(1, 0), step_px(0, 1),
+                step_px(1, 1)},
+               sampled_.row(0), sampled_.stride());
+  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) {
+    patch->resize(width, height);
+    patch->clear_room();
   }
-  for (Patch* patch : {&template_, &gradient_x_, &gradient_y_}) patch->resize(width, height);
   const float* middle = sampled_.row(kMargin) + kMargin;
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
   const float offset = *middle;

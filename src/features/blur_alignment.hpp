@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <optional>
 #include <vector>
 
@@ -77,8 +78,10 @@ class BlurAligner {
   /// Pixels with room behind each row (alignment_simd.hpp).
   class Patch {
    public:
-    /// Pixels have any finite values. The room behind each row is 0.
+    /// Pixels, and the room behind each row, have any finite values.
     void resize(int width, int height);
+    /// The room behind each row becomes 0.
+    void clear_room();
     int width() const { return width_; }
     int height() const { return height_; }
     int size() const { return width_ * height_; }
@@ -137,9 +140,10 @@ class BlurAligner {
   Region first_, second_;
   PixelBox window_;                   // about the point, in the second image
   std::array<int, 2> spacing_{1, 1};  // of the columns and rows of the window that are compared; one of them 1
-  Patch source_, sorted_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_, difference_;
-  std::vector<int> offsets_;  // of what is not 0 in a PSF
-  std::vector<float> shares_;
+  Patch sorted_, sampled_, rows_, template_, gradient_x_, gradient_y_, patch_, difference_;
+  std::vector<std::int32_t> pairs_;  // of pixels, for the kernels alone
+  std::vector<int> offsets_;         // of a PSF's pairs
+  std::vector<std::int32_t> weights_;
   std::vector<NoiseLag> lags_;
   const AlignmentSimd& simd_ = select_for_cpu<AlignmentSimd>();
 };

@@ -5,9 +5,13 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 
 namespace gyro_deblur {
 namespace {
+
+/// A row has as many blocks at most as a word has bits. They are wide by multiples of the longest vector.
+constexpr int kBlocks = 64, kBlockStep = 16;
 
 /// Place in the whole image of the middle of a pixel of half the size, in x or y.
 double full_size(int at) { return 2 * at + 0.5; }
@@ -36,56 +40,102 @@ void CornerDetector::Plane::resize(int width, int height) {
   pixels.resize(static_cast<std::size_t>(stride * height + kCornerRoom));
 }
 
+void CornerDetector::mark_free(const CornerRequest& request) {
+  // Strengths are known from the third row on, and peaks have neighbours.
+  constexpr int kLeastMargin = 4;
+  const int margin = std::max(kLeastMargin, (request.margin_px + 2) / 2);
+  block_width_ = kBlockStep * std::max(1, (width_ + kBlockStep * kBlocks - 1) / (kBlockStep * kBlocks));
+  const int blocks = (width_ + block_width_ - 1) / block_width_;
+  free_.create(height_, blocks * block_width_);
+  free_.setTo(0);
+  if (2 * margin < std::min(width_, height_)) {
+    free_(cv::Rect(margin, margin, width_ - 2 * margin, height_ - 2 * margin)).setTo(1);
+  }
+  for (const Eigen::Vector2d& at_px : request.taken) clear_around(at_px, request.min_distance_px, &free_);
+  blocks_with_free_.assign(static_cast<std::size_t>(height_), 0);
+  for (int y = 0; y < height_; ++y) {
+    for (int block = 0; block < blocks; ++block) {
+      std::uint64_t any = 0, eight;
+      for (int i = 0; i < block_width_; i += static_cast<int>(sizeof eight)) {
+        std::memcpy(&eight, free_.ptr(y) + block * block_width_ + i, sizeof eight);
+        any |= eight;
+      }
+      blocks_with_free_[static_cast<std::size_t>(y)] |= std::uint64_t{any != 0} << block;
+    }
+  }
+}
+
+template <typename Body>
+void CornerDetector::for_each_free_run(int y, int around, Body&& body) const {
+  std::uint64_t blocks = 0;
+  for (int row = std::max(0, y - around); row <= std::min(height_ - 1, y + around); ++row) {
+    blocks |= blocks_with_free_[static_cast<std::size_t>(row)];
+  }
+  while (blocks != 0) {
+    const int first = __builtin_ctzll(blocks);
+    const std::uint64_t beyond = ~blocks & (~std::uint64_t{0} << first);
+    const int end = beyond != 0 ? __builtin_ctzll(beyond) : kBlocks;
+    body(std::max(0, block_width_ * first - around), std::min(width_, block_width_ * end + around));
+    blocks = end < kBlocks ? blocks & (~std::uint64_t{0} << end) : 0;
+  }
+}
+
 void CornerDetector::rate(const cv::Mat& luminance) {
-  width_ = luminance.cols / 2;
-  height_ = luminance.rows / 2;
   half_.resize(width_, height_);
   strengths_.resize(width_, height_);
   constexpr int kRows = 3;
   products_.resize(width_, 3 * kRows);  // one after the other
-  const auto products = [this](int y) {
+  const auto products = [this](int y, int x) {
     const int first = 3 * (y % kRows);
-    return GradientProducts{products_.row(first), products_.row(first + 1), products_.row(first + 2)};
+    return GradientProducts{products_.row(first) + x, products_.row(first + 1) + x, products_.row(first + 2) + x};
   };
+  // A kernel may write beyond the end of its run, into the one to the right: that is made after it.
   for (int y = 0; y < height_; ++y) {
-    simd_.downsample2x(luminance.ptr(2 * y), luminance.ptr(2 * y + 1), half_.row(y), width_);
+    for_each_free_run(y, 3, [&](int first, int end) {
+      simd_.downsample2x(luminance.ptr(2 * y) + 2 * first, luminance.ptr(2 * y + 1) + 2 * first, half_.row(y) + first,
+                         end - first);
+    });
     if (y < 2) continue;
-    simd_.multiply(half_.row(y - 2), half_.row(y - 1), half_.row(y), products(y - 1), width_);
+    for_each_free_run(y - 1, 2, [&](int first, int end) {
+      simd_.multiply(half_.row(y - 2) + first, half_.row(y - 1) + first, half_.row(y) + first, products(y - 1, first),
+                     end - first);
+    });
     if (y < 4) continue;
-    const std::array<GradientProducts, kRows> rows{products(y - 3), products(y - 2), products(y - 1)};
-    simd_.rate(rows.data(), strengths_.row(y - 2), width_);
+    for_each_free_run(y - 2, 1, [&](int first, int end) {
+      const std::array<GradientProducts, kRows> rows{products(y - 3, first), products(y - 2, first),
+                                                     products(y - 1, first)};
+      simd_.rate(rows.data(), strengths_.row(y - 2) + first, end - first);
+    });
   }
 }
 
-void CornerDetector::find_peaks(int margin) {
+void CornerDetector::find_peaks() {
   peaks_.clear();
   columns_.resize(static_cast<std::size_t>(width_));
-  for (int y = margin; y < height_ - margin; ++y) {
-    const float* strengths = strengths_.row(y);
-    const int count = simd_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), margin, width_ - margin,
-                                       columns_.data());
-    for (int i = 0; i < count; ++i) {
-      const int x = columns_[static_cast<std::size_t>(i)];
-      peaks_.push_back({strengths[x], x, y});
-    }
+  for (int y = 1; y + 1 < height_; ++y) {
+    for_each_free_run(y, 0, [&](int first, int end) {
+      const float* strengths = strengths_.row(y);
+      const int count =
+          simd_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), first, end, columns_.data());
+      for (int i = 0; i < count; ++i) {
+        const int x = columns_[static_cast<std::size_t>(i)];
+        if (free_(y, x) != 0) peaks_.push_back({strengths[x], x, y});
+      }
+    });
   }
 }
 
 std::vector<Eigen::Vector2d> CornerDetector::detect(const cv::Mat& luminance, const CornerRequest& request) {
   constexpr float kQuality = 0.01f;  // of the strongest; VINS-Mono has 0.01 as well
-  // Strengths are known from the third row on, and peaks have neighbours.
-  constexpr int kLeastMargin = 4;
+  width_ = luminance.cols / 2;
+  height_ = luminance.rows / 2;
+  mark_free(request);
   rate(luminance);
-  find_peaks(std::max(kLeastMargin, (request.margin_px + 2) / 2));
-  free_.create(height_, width_);
-  free_.setTo(1);
-  for (const Eigen::Vector2d& at_px : request.taken) clear_around(at_px, request.min_distance_px, &free_);
-  const auto may_be = [&](const Peak& peak) {
-    return free_(peak.y, peak.x) != 0 &&
-           (request.allowed.empty() || request.allowed.at<uchar>(2 * peak.y, 2 * peak.x) != 0);
+  find_peaks();
+  const auto is_masked = [&](const Peak& peak) {
+    return !request.allowed.empty() && request.allowed.at<uchar>(2 * peak.y, 2 * peak.x) == 0;
   };
-  peaks_.erase(std::remove_if(peaks_.begin(), peaks_.end(), [&](const Peak& peak) { return !may_be(peak); }),
-               peaks_.end());
+  peaks_.erase(std::remove_if(peaks_.begin(), peaks_.end(), is_masked), peaks_.end());
   // Few are taken: a heap need not sort the others. Of equal ones the first in the image is first.
   const auto is_weaker = [](const Peak& a, const Peak& b) {
     if (a.strength != b.strength) return a.strength < b.strength;

@@ -1,6 +1,7 @@
 // New corners, away from those that are followed.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include <Eigen/Core>
@@ -40,12 +41,22 @@ class CornerDetector {
     float* row(int y) { return pixels.data() + y * stride + kCornerRoom; }
   };
 
+  /// Makes free_ and blocks_with_free_.
+  void mark_free(const CornerRequest& request);
+  /// Calls body(first, end) for columns of a row, from left to right: those of all blocks that have a free pixel within
+  /// `around` rows, and `around` columns more on either side.
+  template <typename Body>
+  void for_each_free_run(int y, int around, Body&& body) const;
+  /// Makes strengths_ of what is free, and of its neighbours.
   void rate(const cv::Mat& luminance);
-  void find_peaks(int margin);
+  void find_peaks();
 
   int width_ = 0, height_ = 0;  // of the half image
   Plane half_, strengths_, products_;
   cv::Mat1b free_;  // of half the size: not 0 where a corner keeps its distance
+  // Few pixels are free where most of the tracks live on. One word for each row, and in it a bit for each block.
+  std::vector<std::uint64_t> blocks_with_free_;
+  int block_width_ = 0;
   std::vector<int> columns_;
   std::vector<Peak> peaks_;
   const CornerSimd& simd_ = select_for_cpu<CornerSimd>();

@@ -23,11 +23,18 @@ struct PixelBox {
   }
 };
 
+/// Two pixels that are read for one that is written: one, and the next along the axis of the PSF's pairs.
+struct PathPair {
+  int x, y;             ///< of the first, from the first of PathPsf::reach
+  float first, second;  ///< shares
+};
+
 /// The pixels that are read for one that is written.
 struct PathPsf {
-  Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> shares;  ///< sum to 1
-  PixelBox reach;                                                               ///< of `shares`, from the written pixel
-  float energy = 0;                                                             ///< sum of the squared shares
+  std::vector<PathPair> pairs;  ///< shares sum to 1; no pixel is in two pairs
+  int axis = 0;                 ///< 0: a pair's second pixel is to the right of its first; 1: below
+  PixelBox reach;               ///< of all pixels, from the written one; two or more along each axis
+  float energy = 0;             ///< sum of the squared shares
 };
 
 /// PSF whose mean is that of the mirrored path, to rounding. A path that follows one axis, within 45 degrees and

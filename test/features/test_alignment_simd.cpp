@@ -4,10 +4,12 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <random>
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Dense>
 
 #include "compiled_sets.hpp"
 
@@ -72,45 +74,118 @@ TEST_P(AlignmentSimdTest, SortColumnsOfAnyCount) {
   }
 }
 
-TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
-  // Weights that show their step: pixel 0 has 1 - fraction, pixel 5 has the fraction.
-  std::vector<float> table(static_cast<std::size_t>((kInterpolationSteps + 1) * kInterpolationStride), 0.0f);
-  for (int i = 0; i <= kInterpolationSteps; ++i) {
-    const float fraction = static_cast<float>(i) / kInterpolationSteps;
-    table[static_cast<std::size_t>(i * kInterpolationStride)] = 1 - fraction;
-    table[static_cast<std::size_t>(i * kInterpolationStride + kInterpolationTaps - 1)] = fraction;
+/// Lagrange's interpolation of six pixels.
+class QuinticInterpolation {
+ public:
+  QuinticInterpolation() {
+    for (int i = 0; i <= kInterpolationSteps; ++i) {
+      for (int k = 0; k < kInterpolationStride; ++k) {
+        const double fraction = static_cast<double>(i) / kInterpolationSteps;
+        table_.push_back(k < kInterpolationTaps ? static_cast<float>(weight(k, fraction)) : 0);
+      }
+    }
+    weights_.table = table_.data();
+    const Eigen::Vector3d s(0.1, 0.3, 0.5), square = s.cwiseAbs2();
+    Eigen::Matrix3d powers;
+    powers << Eigen::Vector3d::Ones(), square, square.cwiseAbs2();
+    for (int k = 0; k < kInterpolationTaps / 2; ++k) {
+      const auto of = [k](double at) { return weight(kInterpolationTaps - 1 - k, 0.5 + at); };
+      const Eigen::Vector3d above = s.unaryExpr(of), below = (-s).unaryExpr(of);
+      const Eigen::Vector3d even = powers.inverse() * (above + below) / 2,
+                            odd = powers.inverse() * (above - below).cwiseQuotient(2 * s);
+      for (int i = 0; i < 3; ++i) {
+        weights_.even[k][i] = static_cast<float>(even[i]);
+        weights_.odd[k][i] = static_cast<float>(odd[i]);
+      }
+    }
   }
-  constexpr int kWidth = 40, kHeight = 30, kStride = kWidth + kPatchRoom, kCount = 21;
-  const std::vector<float> pixels = random_patch(kWidth, kHeight, false);
-  std::vector<float> sampled(kCount);
-  const float x = 1.25f, y = 2.5f, dx = 1.125f, dy = 0.25f;  // whole steps of the table
-  simd_->sample_row(pixels.data(), kStride, table.data(), x, y, dx, dy, kCount, sampled.data());
-  for (int i = 0; i < kCount; ++i) {
-    const float at_x = x + static_cast<float>(i) * dx, at_y = y + static_cast<float>(i) * dy;
-    const int left = static_cast<int>(at_x), top = static_cast<int>(at_y);
-    const float fx = at_x - static_cast<float>(left), fy = at_y - static_cast<float>(top);
-    const auto at = [&](int column, int row) {
-      return pixels[static_cast<std::size_t>((top + row) * kStride + left + column)];
-    };
-    const float expected =
-        (1 - fy) * ((1 - fx) * at(0, 0) + fx * at(5, 0)) + fy * ((1 - fx) * at(0, 5) + fx * at(5, 5));
-    ASSERT_NEAR(sampled[static_cast<std::size_t>(i)], expected, 1e-6f) << i;
+  const Interpolation& weights() const { return weights_; }
+
+ private:
+  static double weight(int k, double fraction) {
+    double product = 1;
+    for (int other = 0; other < kInterpolationTaps; ++other) {
+      if (other != k) product *= (2 + fraction - other) / (k - other);
+    }
+    return product;
+  }
+  std::vector<float> table_;
+  Interpolation weights_{};
+};
+
+TEST_P(AlignmentSimdTest, SampleWithTheWeightsOfBothFractions) {
+  // Of such a surface they are exact, in whatever order and along whichever rows.
+  const QuinticInterpolation quintic;
+  constexpr int kWidth = 150, kHeight = 60, kStride = kWidth + kPatchRoom, kMostSamples = 40;
+  std::vector<float> pixels = random_patch(kWidth, kHeight, false);
+  const auto value = [](float x, float y) {
+    const float u = (x - 60) / 40, v = (y - 25) / 20;
+    return u * u * u * v * v - 2 * v * v * v * v * u + v * v + 3 * u + 1;
+  };
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      pixels[static_cast<std::size_t>(y * kStride + x)] = value(static_cast<float>(x), static_cast<float>(y));
+    }
+  }
+  const std::array<std::array<float, 2>, 8> steps{{{1, 0},
+                                                   {1.0625f, 0.125f},
+                                                   {0.9375f, -0.1875f},
+                                                   {1, 0.5f},
+                                                   {2.125f, 0.0625f},
+                                                   {3, -0.25f},
+                                                   {0.25f, 0.75f},
+                                                   {-1, 0.125f}}};
+  for (const auto& [dx, dy] : steps) {
+    for (const int width : {1, 3, 8, 13, 17, 36, kMostSamples}) {
+      const SampleGrid grid{width, 6, dx > 0 ? 1.25f : 60.75f, dy > 0 ? 2.5f : 20.5f, dx, dy, 0.0625f, 1.0625f};
+      const int stride = width + kPatchRoom;
+      std::vector<float> sampled(static_cast<std::size_t>(stride * grid.height));
+      simd_->sample(pixels.data(), kStride, quintic.weights(), grid, sampled.data(), stride);
+      for (int k = 0; k < grid.height; ++k) {
+        for (int i = 0; i < width; ++i) {
+          const float at_x = grid.x + static_cast<float>(i) * dx + static_cast<float>(k) * grid.row_dx,
+                      at_y = grid.y + static_cast<float>(i) * dy + static_cast<float>(k) * grid.row_dy;
+          ASSERT_NEAR(sampled[static_cast<std::size_t>(k * stride + i)], value(at_x + 2, at_y + 2), 2e-3f)
+              << width << ", " << dx << ", " << dy << ": " << i << ", " << k;
+        }
+      }
+    }
   }
 }
 
-TEST_P(AlignmentSimdTest, WidenAnyWidth) {
-  for (int width = 1; width <= 70; ++width) {
-    const int height = 1 + width % 3, stride = width + kPatchRoom, byte_stride = width + 5;
-    // Of exactly the image's size: nothing is read behind it.
-    std::vector<unsigned char> bytes(static_cast<std::size_t>(byte_stride * (height - 1) + width));
-    for (unsigned char& byte : bytes) byte = static_cast<unsigned char>(random_() % 256);
-    std::vector<float> written(static_cast<std::size_t>(stride * height));
-    simd_->widen(bytes.data(), byte_stride, written.data(), stride, width, height);
-    for (int y = 0; y < height; ++y) {
-      for (int x = 0; x < width; ++x) {
-        ASSERT_EQ(written[static_cast<std::size_t>(y * stride + x)],
-                  bytes[static_cast<std::size_t>(y * byte_stride + x)])
-            << width << ": " << x << ", " << y;
+TEST_P(AlignmentSimdTest, ConvolvePairsOfAnyWidth) {
+  const std::array<int, 3> columns{0, 2, 3}, rows{0, 1, 2};
+  const std::array<int, 3> first{16384, 5, 32767}, second{0, 32767, 8192};
+  constexpr float kScale = 1.0f / 65536;
+  for (int width = 1; width <= 110; ++width) {
+    for (const bool is_below : {false, true}) {
+      const int height = 1 + width % 4, read_width = width + 3 + (is_below ? 0 : 1),
+                read_height = height + 2 + (is_below ? 1 : 0), byte_stride = read_width + 5,
+                pair_stride = read_width + kPatchRoom, stride = width + kPatchRoom;
+      // Of exactly the image's size: nothing is read behind it.
+      std::vector<unsigned char> bytes(static_cast<std::size_t>(byte_stride * (read_height - 1) + read_width));
+      for (unsigned char& byte : bytes) byte = static_cast<unsigned char>(random_() % 256);
+      std::vector<std::int32_t> pairs(static_cast<std::size_t>(pair_stride * (read_height + 1) + kPatchRoom)), weights;
+      simd_->make_pairs(bytes.data(), byte_stride, is_below ? byte_stride : 1, pairs.data(), pair_stride, width + 3,
+                        height + 2);
+      std::vector<int> offsets;
+      for (std::size_t k = 0; k < 3; ++k) {
+        offsets.push_back(columns[k] + rows[k] * pair_stride);
+        weights.push_back(first[k] | second[k] * (1 << 16));
+      }
+      std::vector<float> written(static_cast<std::size_t>(stride * height));
+      simd_->convolve_pairs(pairs.data(), pair_stride, is_below ? pair_stride : 1, offsets.data(), weights.data(), 3,
+                            kScale, written.data(), stride, width, height);
+      for (int y = 0; y < height; ++y) {
+        for (int x = 0; x < width; ++x) {
+          int sum = 0;
+          for (std::size_t k = 0; k < 3; ++k) {
+            const auto at = static_cast<std::size_t>((y + rows[k]) * byte_stride + x + columns[k]);
+            sum += first[k] * bytes[at] + second[k] * bytes[at + static_cast<std::size_t>(is_below ? byte_stride : 1)];
+          }
+          ASSERT_FLOAT_EQ(written[static_cast<std::size_t>(y * stride + x)], kScale * static_cast<float>(sum))
+              << width << ": " << x << ", " << y;
+        }
       }
     }
   }

@@ -68,6 +68,34 @@ TEST(CornerDetector, KeepsDistanceMarginAndMask) {
             CornerDetector().detect(image, {1000, 16.3, 21, mask, kNone}));
 }
 
+TEST(CornerDetector, RatesAsIfAllWereRated) {
+  CornerDetector detector;
+  cv::RNG rng(11);
+  for (const cv::Size size : {kSize, cv::Size(2310, 90), cv::Size(40, 300)}) {  // one wider than 64 blocks of 16
+    cv::Mat image(size, CV_8UC1);
+    rng.fill(image, cv::RNG::UNIFORM, 0, 256);
+    cv::GaussianBlur(image, image, {}, 1.5);
+    for (const int count : {3, 40, 400}) {
+      constexpr double kDistancePx = 14;
+      std::vector<Eigen::Vector2d> taken;
+      for (int i = 0; i < count; ++i)
+        taken.emplace_back(rng.uniform(0., 1. * size.width), rng.uniform(0., 1. * size.height));
+      // The same pixels are left out after everything was rated.
+      cv::Mat mask(size, CV_8UC1, cv::Scalar(255));
+      for (int y = 0; y < size.height; ++y) {
+        for (int x = 0; x < size.width; ++x) {
+          const Eigen::Vector2d middle_px(2 * (x / 2) + 0.5, 2 * (y / 2) + 0.5);
+          for (const Eigen::Vector2d& at_px : taken) {
+            if ((middle_px - at_px).norm() < kDistancePx) mask.at<uchar>(y, x) = 0;
+          }
+        }
+      }
+      const std::vector<Eigen::Vector2d> corners = detector.detect(image, {1000, kDistancePx, 10, kNoMask, taken});
+      EXPECT_EQ(corners, CornerDetector().detect(image, {1000, kDistancePx, 10, mask, kNone})) << size << count;
+    }
+  }
+}
+
 TEST(CornerDetector, FindsNoneWhereThereIsNone) {
   CornerDetector detector;
   EXPECT_TRUE(detector.detect(cv::Mat(kSize, CV_8UC1, cv::Scalar(90)), {100, 10, 10, kNoMask, kNone}).empty());

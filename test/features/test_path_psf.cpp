@@ -2,6 +2,8 @@
 
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <set>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -24,6 +26,16 @@ Path2d reversing_path() {
   return path_px;
 }
 
+/// Of all pixels of the reach.
+Eigen::ArrayXXf shares_of(const PathPsf& psf) {
+  Eigen::ArrayXXf shares = Eigen::ArrayXXf::Zero(psf.reach.height(), psf.reach.width());
+  for (const PathPair& pair : psf.pairs) {
+    shares(pair.y, pair.x) += pair.first;
+    shares(pair.y + psf.axis, pair.x + 1 - psf.axis) += pair.second;
+  }
+  return shares;
+}
+
 Eigen::Vector2f mean_of(const Path2d& path_px) {
   Eigen::Vector2f sum_px = Eigen::Vector2f::Zero();
   for (std::size_t k = 0; k + 1 < path_px.size(); ++k) sum_px += 0.5f * (path_px[k] + path_px[k + 1]);
@@ -37,15 +49,18 @@ TEST(PathPsf, HasTheMirroredMeanOfThePath) {
   for (const Path2d& path_px : paths) {
     PathPsf psf;
     rasterize(path_px, &psf);
-    EXPECT_NEAR(psf.shares.sum(), 1, 1e-5);
-    EXPECT_FLOAT_EQ(psf.energy, psf.shares.square().sum());
-    EXPECT_GE(psf.shares.minCoeff(), 0);
-    ASSERT_EQ(psf.shares.rows(), psf.reach.height());
-    ASSERT_EQ(psf.shares.cols(), psf.reach.width());
+    for (const PathPair& pair : psf.pairs) {
+      ASSERT_TRUE(pair.x >= 0 && pair.x + 1 - psf.axis < psf.reach.width());
+      ASSERT_TRUE(pair.y >= 0 && pair.y + psf.axis < psf.reach.height());
+      EXPECT_TRUE(pair.first >= 0 && pair.second >= 0);
+    }
+    const Eigen::ArrayXXf shares = shares_of(psf);
+    EXPECT_NEAR(shares.sum(), 1, 1e-5);
+    EXPECT_FLOAT_EQ(psf.energy, shares.square().sum());
     Eigen::Vector2f mean_px = Eigen::Vector2f::Zero();
     for (int y = 0; y < psf.reach.height(); ++y) {
       for (int x = 0; x < psf.reach.width(); ++x) {
-        mean_px += psf.shares(y, x) * Eigen::Vector2i(psf.reach.first_x + x, psf.reach.first_y + y).cast<float>();
+        mean_px += shares(y, x) * Eigen::Vector2i(psf.reach.first_x + x, psf.reach.first_y + y).cast<float>();
       }
     }
     EXPECT_LT((mean_px + mean_of(path_px)).norm(), 1e-4) << mean_px.transpose();
@@ -57,14 +72,37 @@ TEST(PathPsf, AStraightPathHasTwoPixelsALine) {
   for (const double angle_rad : {0.1, 0.6, 1.2, 2.0, 3.0}) {
     rasterize(straight_path(30, angle_rad), &psf);
     const bool is_wide = std::abs(std::cos(angle_rad)) > std::abs(std::sin(angle_rad));
-    const auto counts = (psf.shares > 0).cast<int>();
-    EXPECT_LE(is_wide ? counts.colwise().sum().maxCoeff() : counts.rowwise().sum().maxCoeff(), 2) << angle_rad;
+    EXPECT_EQ(psf.axis, is_wide ? 1 : 0) << angle_rad;
+    std::set<int> lines;
+    for (const PathPair& pair : psf.pairs) EXPECT_TRUE(lines.insert(is_wide ? pair.x : pair.y).second) << angle_rad;
+  }
+}
+
+TEST(PathPsf, ALineHasTheShareOfTheTimeNearIt) {
+  // 8 px at uniform speed and a slope of a half: a line is near for a pixel's time, the last ones for half of it. Their
+  // places are the means of the time there, weighted by how near: a third of a line
+  // inside at the ends.
+  Path2d path_px;
+  for (int k = 0; k < kPathInstants; ++k) path_px[k] = {0.5f * static_cast<float>(k), static_cast<float>(k)};
+  PathPsf psf;
+  rasterize(path_px, &psf);
+  ASSERT_EQ(psf.axis, 0);
+  ASSERT_EQ(psf.pairs.size(), 9u);
+  for (std::size_t i = 0; i < psf.pairs.size(); ++i) {
+    const PathPair& pair = psf.pairs[i];
+    const float away_px = -static_cast<float>(psf.reach.first_y + pair.y);
+    const bool is_end = away_px == 0 || away_px == 8;
+    const float share = pair.first + pair.second, inwards_px = is_end ? (away_px == 0 ? 1.0f : -1.0f) / 3 : 0;
+    EXPECT_NEAR(share, is_end ? 1.0f / 16 : 1.0f / 8, 1e-6f) << away_px;
+    EXPECT_NEAR(static_cast<float>(psf.reach.first_x + pair.x) + pair.second / share, -0.5f * (away_px + inwards_px),
+                1e-5f)
+        << away_px;
   }
 }
 
 /// Correlation of noise, both ways together, that a PSF makes at a lag along y, over all columns.
 double correlation_of(const PathPsf& psf, int lag) {
-  const Eigen::VectorXf lines = psf.shares.matrix().rowwise().sum();
+  const Eigen::VectorXf lines = shares_of(psf).matrix().rowwise().sum();
   double sum = 0;
   for (int y = 0; y + lag < lines.size(); ++y) sum += lines[y] * lines[y + lag];
   return lag == 0 ? sum : 2 * sum;
