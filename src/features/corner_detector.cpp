@@ -2,7 +2,6 @@
 #include "features/corner_detector.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstring>
@@ -34,11 +33,6 @@ void clear_around(const Eigen::Vector2d& at_px, double distance_px, cv::Mat1b* h
 }
 
 }  // namespace
-
-void CornerDetector::Plane::resize(int width, int height) {
-  stride = width + 2 * kCornerRoom;
-  pixels.resize(static_cast<std::size_t>(stride * height + kCornerRoom));
-}
 
 void CornerDetector::mark_free(const CornerRequest& request) {
   // Strengths are known from the third row on, and peaks have neighbours.
@@ -81,32 +75,11 @@ void CornerDetector::for_each_free_run(int y, int around, Body&& body) const {
 }
 
 void CornerDetector::rate(const cv::Mat& luminance) {
-  half_.resize(width_, height_);
-  strengths_.resize(width_, height_);
-  constexpr int kRows = 3;
-  products_.resize(width_, 3 * kRows);  // one after the other
-  const auto products = [this](int y, int x) {
-    const int first = 3 * (y % kRows);
-    return GradientProducts{products_.row(first) + x, products_.row(first + 1) + x, products_.row(first + 2) + x};
-  };
-  // A kernel may write beyond the end of its run, into the one to the right: that is made after it.
-  for (int y = 0; y < height_; ++y) {
-    for_each_free_run(y, 3, [&](int first, int end) {
-      simd_.downsample2x(luminance.ptr(2 * y) + 2 * first, luminance.ptr(2 * y + 1) + 2 * first, half_.row(y) + first,
-                         end - first);
-    });
-    if (y < 2) continue;
-    for_each_free_run(y - 1, 2, [&](int first, int end) {
-      simd_.multiply(half_.row(y - 2) + first, half_.row(y - 1) + first, half_.row(y) + first, products(y - 1, first),
-                     end - first);
-    });
-    if (y < 4) continue;
-    for_each_free_run(y - 2, 1, [&](int first, int end) {
-      const std::array<GradientProducts, kRows> rows{products(y - 3, first), products(y - 2, first),
-                                                     products(y - 1, first)};
-      simd_.rate(rows.data(), strengths_.row(y - 2) + first, end - first);
-    });
-  }
+  strengths_.rate(
+      width_, height_, [this](int y, int around, const auto& body) { for_each_free_run(y, around, body); },
+      [&](int y, int first, int end, float* to) {
+        simd_.downsample2x(luminance.ptr(2 * y) + 2 * first, luminance.ptr(2 * y + 1) + 2 * first, to, end - first);
+      });
 }
 
 void CornerDetector::find_peaks() {
@@ -115,8 +88,7 @@ void CornerDetector::find_peaks() {
   for (int y = 1; y + 1 < height_; ++y) {
     for_each_free_run(y, 0, [&](int first, int end) {
       const float* strengths = strengths_.row(y);
-      const int count =
-          simd_.find_peaks(strengths_.row(y - 1), strengths, strengths_.row(y + 1), first, end, columns_.data());
+      const int count = strengths_.find_peaks(y, first, end, columns_.data());
       for (int i = 0; i < count; ++i) {
         const int x = columns_[static_cast<std::size_t>(i)];
         if (free_(y, x) != 0) peaks_.push_back({strengths[x], x, y});

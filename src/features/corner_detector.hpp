@@ -8,6 +8,7 @@
 #include <opencv2/core.hpp>
 
 #include "features/corner_simd.hpp"
+#include "features/corner_strength.hpp"
 
 namespace gyro_deblur {
 
@@ -33,13 +34,6 @@ class CornerDetector {
     float strength;
     int x, y;
   };
-  /// Rows with room on both sides.
-  struct Plane {
-    std::vector<float> pixels;
-    int stride = 0;
-    void resize(int width, int height);
-    float* row(int y) { return pixels.data() + y * stride + kCornerRoom; }
-  };
 
   /// Makes free_ and blocks_with_free_.
   void mark_free(const CornerRequest& request);
@@ -52,8 +46,8 @@ class CornerDetector {
   void find_peaks();
 
   int width_ = 0, height_ = 0;  // of the half image
-  Plane half_, strengths_, products_;
-  cv::Mat1b free_;  // of half the size: not 0 where a corner keeps its distance
+  CornerStrengths strengths_;   // of the half image
+  cv::Mat1b free_;              // of half the size: not 0 where a corner keeps its distance
   // Few pixels are free where most of the tracks live on. One word for each row, and in it a bit for each block.
   std::vector<std::uint64_t> blocks_with_free_;
   int block_width_ = 0;

@@ -8,12 +8,12 @@
 #include <utility>
 
 #include <Eigen/Geometry>
-#include <opencv2/imgproc.hpp>
 
 #include "base/median.hpp"
 #include "base/one_thread.hpp"
 #include "base/parallel.hpp"
 #include "features/corner_prediction.hpp"
+#include "features/corner_strength.hpp"
 #include "features/scene_change.hpp"
 #include "features/velocity_plane.hpp"
 
@@ -68,16 +68,17 @@ TimeNs middle_of(const RowExposure& exposure, const Camera& camera) {
 /// The best of each cell: all over the image, for what has most texture may be an object that moves by itself.
 /// @param usable  CV_8UC1 of the image's size: 0 where no corner is wanted; or empty
 std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat& usable) {
-  constexpr int kNeighbourhoodPx = 3;
   const auto cells_along = [](int length_px) { return std::max(1, (length_px + kCellPx / 2) / kCellPx); };
   const int columns = cells_along(image.cols), rows = cells_along(image.rows);
-  cv::Mat strength, largest;
-  cv::cornerMinEigenVal(image, strength, kNeighbourhoodPx);
-  cv::dilate(strength, largest, cv::Mat());
+  CornerStrengths strengths;
+  strengths.rate(
+      image.cols, image.rows, [&](int, int, const auto& rate_run) { rate_run(0, image.cols); },
+      [&](int y, int first, int end, float* to) { std::copy(image.ptr(y) + first, image.ptr(y) + end, to); });
   constexpr int kHalfPx = kSearchWindowPx / 2;
   const cv::Rect with_window(kHalfPx, kHalfPx, image.cols - 2 * kHalfPx, image.rows - 2 * kHalfPx);
   std::vector<cv::Point2f> corners;
   std::vector<std::pair<float, cv::Point2f>> candidates;
+  std::vector<int> peaks(static_cast<std::size_t>(image.cols));
   for (int row = 0; row < rows; ++row) {
     for (int column = 0; column < columns; ++column) {
       candidates.clear();
@@ -86,10 +87,11 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat&
       const cv::Point end((column + 1) * image.cols / columns, (row + 1) * image.rows / rows);
       const cv::Rect cell = cv::Rect(begin, end) & with_window;
       for (int y = cell.y; y < cell.y + cell.height; ++y) {
-        for (int x = cell.x; x < cell.x + cell.width; ++x) {
-          const float value = strength.at<float>(y, x);
-          if (value <= 0 || value != largest.at<float>(y, x)) continue;
+        const int count = strengths.find_peaks(y, cell.x, cell.x + cell.width, peaks.data());
+        for (int i = 0; i < count; ++i) {
+          const int x = peaks[static_cast<std::size_t>(i)];
           if (!usable.empty() && usable.at<uchar>(y, x) == 0) continue;
+          const float value = strengths.row(y)[x];
           best = std::max(best, value);
           candidates.emplace_back(value, cv::Point2f(static_cast<float>(x), static_cast<float>(y)));
         }
