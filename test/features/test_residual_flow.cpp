@@ -146,6 +146,18 @@ TEST(Downsample2x, IsWhatOneLoopOverTheImageMakes) {
   }
 }
 
+TEST(SearchImage, IsHalvedUntilItIsNoWiderThan250Px) {
+  const auto expect_scale = [](int width_px, double scale, int searched_px) {
+    const SearchImage image = search_image(cv::Mat(200, width_px, CV_8U, cv::Scalar(90)), 1);
+    EXPECT_EQ(image.scale, scale) << width_px;
+    EXPECT_EQ(image.pyramid.front().cols, searched_px) << width_px;
+  };
+  expect_scale(250, 1, 250);
+  expect_scale(251, 2, 126);
+  expect_scale(752, 4, 188);
+  expect_scale(1920, 8, 240);
+}
+
 TEST(ResidualFlow, KnowsByTheAccelerometerWhatHappensBetweenTwoImages) {
   const Simulator simulator = simulator_of(R"(
 motion: {type: curve, rotation: {sines: [{amplitude: [4, 6, 3], frequency: 1.3, phase: 20}]},
