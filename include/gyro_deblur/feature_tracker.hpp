@@ -47,7 +47,7 @@ struct TrackState;
 /// short, this patch alone is aligned in each image. A corner is kept when the patches differ by no more than noise
 /// explains, and when it agrees with the epipolar geometry of the others, from which rotation (row by row) has been
 /// taken out first. Where no residual velocity is known, the corner's last deviation from its prediction starts the
-/// search, or else Lucas-Kanade, as for optical flow.
+/// search, or else Lucas-Kanade over a pyramid.
 class FeatureTracker {
  public:
   /// Throws OptionError.

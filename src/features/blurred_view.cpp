@@ -100,11 +100,6 @@ const cv::Mat& BlurredView::half_size() const {
   return half_size_;
 }
 
-const SearchImage& BlurredView::search_image() const {
-  std::call_once(has_search_image_, [this] { search_image_ = gyro_deblur::search_image(luminance_, 1); });
-  return search_image_;
-}
-
 BlurredView::Residual BlurredView::residual_at(const Eigen::Vector2d& pixel_px) const {
   Residual mean{Eigen::Vector2d::Zero(), false};
   if (residuals_.empty()) return mean;

@@ -9,7 +9,6 @@
 #include <opencv2/core.hpp>
 
 #include "features/blur_alignment.hpp"
-#include "features/corner_following.hpp"
 #include "features/nearby_rays.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -28,8 +27,6 @@ class BlurredView {
   const cv::Mat& luminance() const { return luminance_; }
   /// The same at half the size. Made when first asked for, by any thread.
   const cv::Mat& half_size() const;
-  /// The same as corners are searched in. Made when first asked for, on one thread.
-  const SearchImage& search_image() const;
   const RowExposure& exposure() const { return exposure_; }
 
   /// Residual velocity at a pixel, the mean of those known around it.
@@ -47,9 +44,8 @@ class BlurredView {
 
  private:
   cv::Mat luminance_;
-  mutable std::once_flag has_half_size_, has_search_image_;
+  mutable std::once_flag has_half_size_;
   mutable cv::Mat half_size_;
-  mutable SearchImage search_image_;
   RowExposure exposure_;
   double noise_;
   BlockGrid grid_;

@@ -43,6 +43,7 @@ FeatureTracker::~FeatureTracker() = default;
 void FeatureTracker::set_options(const TrackerOptions& options) {
   options.validate();
   if (options.window_px != options_.window_px) with_used_window_.release();
+  if (options.window_px != options_.window_px) search_->reset();
   options_ = options;
 }
 
@@ -79,7 +80,11 @@ const std::vector<Track>& FeatureTracker::track(const cv::Mat& luminance, const 
     if (step_ns <= 0 || step_ns > kLongestTrackBreakNs || calibration != calibration_) reset();
   }
   const auto view = std::make_shared<const BlurredView>(luminance, exposure, field);
-  if (view_ && !tracks_.empty()) follow(view, camera, motion);
+  if (view_ && !tracks_.empty()) {
+    follow(view, camera, motion);
+  } else {
+    search_->reset();
+  }
   add_corners(view, camera, motion);
   view_ = view;
   calibration_ = calibration;

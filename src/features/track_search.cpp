@@ -215,24 +215,32 @@ void TrackSearch::search_far(const TrackStep& step, const std::vector<TrackState
   const double share = static_cast<double>(found) / static_cast<double>(std::max<std::size_t>(1, states.size()));
   constexpr double kMost = 0.5, kNearlyAll = 0.9;
   std::vector<std::size_t> open;
+  std::vector<cv::Point2f> before, start;
   for (std::size_t i = 0; i < states.size(); ++i) {
     if ((*candidates)[i].found || share > ((*candidates)[i].predicted.by_residual ? kMost : kNearlyAll)) continue;
     open.push_back(i);
+    before.push_back(to_cv(states[i].point.place_px));
+    start.push_back(to_cv((*candidates)[i].predicted.place_px));
   }
   if (open.empty()) return;
-  const SearchImage &image_before = step.before.search_image(), &image = step.now.search_image();
-  std::vector<cv::Point2f> before, start;
-  for (const std::size_t i : open) {
-    before.push_back(to_cv(states[i].point.place_px / image.scale));
-    start.push_back(to_cv((*candidates)[i].predicted.place_px / image.scale));
+  // As in VINS-Mono's tracker.
+  constexpr int kLevels = 3;
+  constexpr double kMaxRoundTripPx = 1;
+  const TrackerOptions& options = step.options;
+  if (pyramid_before_.empty()) {
+    pyramid_before_ = corner_pyramid(step.before.luminance(), options.window_px, kLevels);
   }
-  const FollowedCorners corners =
-      follow_there_and_back(image_before.pyramid, image.pyramid, before, start, corner_search());
+  pyramid_ = corner_pyramid(step.now.luminance(), options.window_px, kLevels);
+  const FollowedCorners corners = follow_there_and_back(
+      pyramid_before_, pyramid_, before, start,
+      {options.window_px, kLevels,
+       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 30, 0.05),  // a start: the alignment follows
+       kMaxRoundTripPx});
   for_each(open.size(), step, [&](std::size_t k, const Thread& thread) {
     TrackCandidate& candidate = (*candidates)[open[k]];
     if (candidate.predicted.by_residual && !corners.found[k]) return;
-    Eigen::Vector2d start_px = candidate.predicted.place_px;
-    if (corners.found[k]) start_px = image.scale * Eigen::Vector2d(corners.places[k].x, corners.places[k].y);
+    const Eigen::Vector2d start_px =
+        corners.found[k] ? Eigen::Vector2d(corners.places[k].x, corners.places[k].y) : candidate.predicted.place_px;
     thread.find(states[open[k]], start_px, &candidate);
   });
 }
@@ -276,6 +284,8 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
 
 std::vector<TrackCandidate> TrackSearch::follow(const TrackStep& step, std::vector<TrackState>* states) {
   const AwakeHelpers helpers(step.threads);
+  pyramid_before_ = std::move(pyramid_);
+  pyramid_.clear();
   std::vector<TrackCandidate> candidates = search(step, *states);
   search_far(step, *states, &candidates);
   refine(step, &candidates, states);

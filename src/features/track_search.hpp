@@ -78,6 +78,9 @@ struct TrackCandidate {
 /// Finds points, on several threads. Keeps its buffers. Not thread-safe.
 class TrackSearch {
  public:
+  /// Forgets the image before.
+  void reset() { pyramid_.clear(); }
+
   /// Takes the states of the points that are found to the new image.
   /// @return one for each state
   std::vector<TrackCandidate> follow(const TrackStep& step, std::vector<TrackState>* states);
@@ -90,13 +93,15 @@ class TrackSearch {
 
   /// Candidates with their predictions, found where these are good enough.
   std::vector<TrackCandidate> search(const TrackStep& step, const std::vector<TrackState>& states);
-  /// By Lucas-Kanade in search images, those that were not found and may be elsewhere.
+  /// By Lucas-Kanade over pyramids, those that were not found and may be elsewhere.
   void search_far(const TrackStep& step, const std::vector<TrackState>& states,
                   std::vector<TrackCandidate>* candidates);
   /// Again, with what the points that were found say of the motion around each, and takes the states there.
   void refine(const TrackStep& step, std::vector<TrackCandidate>* candidates, std::vector<TrackState>* states);
 
   std::vector<BlurAligner> aligners_;  // of the threads
+  std::vector<cv::Mat> pyramid_;       // of the newest image; empty: not made
+  std::vector<cv::Mat> pyramid_before_;
 };
 
 }  // namespace gyro_deblur
