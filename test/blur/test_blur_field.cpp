@@ -205,7 +205,7 @@ TEST(ClassifyPath, NonuniformSpeedIsCurvedBeyondTheThreshold) {
   blur = classify_path(path_px, options);
   EXPECT_TRUE(blur.nonuniform_path_px);
   EXPECT_TRUE(blur.curved_path_px);
-  // Without a 2-D filter it has a 1-D one, however uneven it is.
+  // Without a 2-D filter it has a 1-D one, at any speed along the path.
   blur = classify_path(path_px, options, true);
   EXPECT_EQ(blur.status, BlockStatus::DEBLURRED);
   EXPECT_FALSE(blur.curved_path_px);
