@@ -20,9 +20,14 @@
 
 namespace gyro_deblur {
 
+/// Integers below are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
+constexpr std::int32_t kTrackIds = 1 << 24;
+/// A tracker's are below. TrackRectifier gives those above to tracks that come back.
+constexpr std::int32_t kTrackerIds = kTrackIds / 2;
+
 /// One corner in the newest image.
 struct Track {
-  std::int32_t id = 0;                                     ///< the same in every image; [0, 2^24): exact as a float
+  std::int32_t id = 0;                                     ///< the same in every image; [0, kTrackIds)
   int length = 1;                                          ///< images in which it was seen, this one included
   Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();      ///< where it was at the middle of its row's exposure
   Eigen::Vector2d normalized = Eigen::Vector2d::Zero();    ///< undistorted (x / z, y / z) in the image's frame

@@ -18,9 +18,6 @@
 namespace gyro_deblur {
 namespace {
 
-/// Integers up to here are exact in a float, which is what carries ids in sensor_msgs/PointCloud.
-constexpr std::int32_t kIds = 1 << 24;
-
 bool inside(const Eigen::Vector2d& p, const cv::Size& size) {
   return p.x() >= 0 && p.y() >= 0 && p.x() <= size.width - 1 && p.y() <= size.height - 1;
 }
@@ -175,7 +172,7 @@ void FeatureTracker::add_corners(const std::shared_ptr<const BlurredView>& view,
     if (!ray.allFinite()) continue;
     Track track;
     track.id = next_id_;
-    next_id_ = (next_id_ + 1) % kIds;
+    next_id_ = (next_id_ + 1) % kTrackerIds;
     track.pixel_px = corner_px;
     track.normalized = camera.normalized(ray);
     tracks_.push_back(track);

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -18,6 +19,9 @@ namespace gyro_deblur {
 
 /// Takes the tracks of one camera from the middle of their rows' exposures to a reference time, by rotation and
 /// residual velocity (PointMotion). Remembers where they were, for their velocities. Not thread-safe.
+///
+/// A track that was left out comes back under another id: VINS-Mono and VINS-Fusion take the observations of an id to
+/// be of consecutive messages.
 class TrackRectifier {
  public:
   /// @param tracks        of the image, as FeatureTracker gives them
@@ -33,8 +37,20 @@ class TrackRectifier {
                              const CameraMotion& motion, const RowExposure& exposure, TimeNs reference_ns);
 
  private:
-  TimeNs newest_ns_ = 0;                                // of the newest reference time
-  std::map<std::int32_t, Eigen::Vector2d> normalized_;  // by id, at that time
+  struct State {
+    std::int32_t id;                            // under which it is returned
+    std::optional<Eigen::Vector2d> normalized;  // at the newest reference time; nothing: it was left out
+  };
+
+  /// Of a track that was in the call before, or is new.
+  State state_before(std::int32_t tracker_id) const;
+
+  /// Of a track that is left out.
+  State left_out(const State& before);
+
+  TimeNs newest_ns_ = 0;                  // of the newest reference time
+  std::map<std::int32_t, State> states_;  // by the tracker's id, of the newest call
+  std::int32_t next_id_ = kTrackerIds;
 };
 
 }  // namespace gyro_deblur

@@ -14,7 +14,6 @@
 #include "base/time_slice.hpp"
 #include "calibrate/stored_calibration.hpp"
 #include "gyro_deblur/config.hpp"
-#include "ros/tf_conversion.hpp"
 #include "ros/value_conversion.hpp"
 
 namespace gyro_deblur {
@@ -94,7 +93,7 @@ Processor::Environment DeblurNodelet::make_environment() {
   environment.steady_clock = steady_now_ns;
   environment.log = [this](LogLevel level, const std::string& text) { log(level, text); };
   environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
-    return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
+    return transforms_.R_cam_imu(camera_frame, imu_frame);
   };
   environment.exposure_expected = [this] { return exposure_expected_.load(); };
   environment.request = [this] { return publishers_.request(); };
@@ -139,8 +138,12 @@ void DeblurNodelet::onInit() {
   start_reconfigure();
 
   transport_ = std::make_unique<image_transport::ImageTransport>(nh);
-  tf_static_subscriber_ = nh.subscribe("/tf_static", kTfQueue, &DeblurNodelet::on_transforms, this);
-  tf_subscriber_ = nh.subscribe("/tf", kTfQueue, &DeblurNodelet::on_transforms, this);
+  const auto subscribe_tf = [&](const char* name, Transforms::Topic topic) {
+    return nh.subscribe<tf2_msgs::TFMessage>(
+        name, kTfQueue, [this, topic](const tf2_msgs::TFMessageConstPtr& message) { on_transforms(message, topic); });
+  };
+  tf_static_subscriber_ = subscribe_tf("/tf_static", Transforms::Topic::TF_STATIC);
+  tf_subscriber_ = subscribe_tf("/tf", Transforms::Topic::TF);
   mask_subscriber_ = nh.subscribe<sensor_msgs::Image>("mask", 1, [this](const sensor_msgs::ImageConstPtr& mask) {
     guarded("taking a mask in", [&] { processor_->add_mask(*mask); });
   });
@@ -280,9 +283,9 @@ void DeblurNodelet::on_driver_message(const ros::MessageEvent<topic_tools::Shape
   });
 }
 
-void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message) {
+void DeblurNodelet::on_transforms(const tf2_msgs::TFMessageConstPtr& message, Transforms::Topic topic) {
   guarded("taking transforms in", [&] {
-    add_transforms(*message, &tf_buffer_);
+    transforms_.add(*message, topic);
     processor_->wake();
   });
 }

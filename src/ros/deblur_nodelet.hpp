@@ -16,7 +16,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <std_srvs/Trigger.h>
-#include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 #include <topic_tools/shape_shifter.h>
 #include <xmlrpcpp/XmlRpcValue.h>
@@ -27,6 +26,7 @@
 #include "ros/processor.hpp"
 #include "ros/publishers.hpp"
 #include "ros/shared_imu.hpp"
+#include "ros/tf_conversion.hpp"
 
 namespace gyro_deblur {
 
@@ -59,7 +59,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   void on_image(const sensor_msgs::ImageConstPtr& image);
   void on_compressed_image(const sensor_msgs::CompressedImageConstPtr& image);
   void on_driver_message(const ros::MessageEvent<topic_tools::ShapeShifter>& event);
-  void on_transforms(const tf2_msgs::TFMessageConstPtr& message);
+  void on_transforms(const tf2_msgs::TFMessageConstPtr& message, Transforms::Topic topic);
   bool on_reset(std::string* text);
   bool on_reset_calibration(std::string* text);
   bool on_save_calibration(std::string* text);
@@ -84,7 +84,7 @@ class DeblurNodelet : public nodelet::Nodelet {
   DeblurConfig dynamic_ = DeblurConfig::__getDefault__();  // last accepted values
   bool reconfigure_ready_ = false;
 
-  tf2::BufferCore tf_buffer_;
+  Transforms transforms_;
   ros::Subscriber tf_subscriber_;
   ros::Subscriber tf_static_subscriber_;
   ros::Subscriber mask_subscriber_;

@@ -10,13 +10,22 @@
 
 namespace gyro_deblur {
 
-/// Adds transforms such that the newest to arrive counts, whatever its stamp: an extrinsic is wanted as it is now, and
-/// a clock that was set back must not make tf refuse what comes. (tf2_ros::TransformListener goes by stamps, and a bag
-/// has no topics to listen to.)
-void add_transforms(const tf2_msgs::TFMessage& message, tf2::BufferCore* buffer);
+/// What tf has. The newest transform to arrive counts, whatever its stamp: an extrinsic is wanted as it is now, and a
+/// clock that was set back must not make tf refuse what comes. (tf2_ros::TransformListener goes by stamps, and a bag
+/// has no topics to listen to.) Thread-safe.
+class Transforms {
+ public:
+  enum class Topic { TF, TF_STATIC };
 
-/// Rotation that takes IMU coordinates to camera coordinates, the newest that tf has; nothing when it has none.
-std::optional<Eigen::Matrix3d> lookup_R_cam_imu(const tf2::BufferCore& buffer, const std::string& camera_frame,
-                                                const std::string& imu_frame);
+  void add(const tf2_msgs::TFMessage& message, Topic topic);
+
+  /// Rotation that takes IMU coordinates to camera coordinates; nothing when there is none. That of /tf_static if there
+  /// is one: VINS-Mono and VINS-Fusion publish a transform from "body" to "camera" on /tf, and in tf a frame has one
+  /// parent.
+  std::optional<Eigen::Matrix3d> R_cam_imu(const std::string& camera_frame, const std::string& imu_frame) const;
+
+ private:
+  tf2::BufferCore static_, all_;
+};
 
 }  // namespace gyro_deblur

@@ -83,7 +83,7 @@ DeblurFeed::DeblurFeed(const rosbag::Bag& bag, const DeblurTopics& topics, const
             reader_of<sensor_msgs::Image>(kNoStamp, [this](const auto& mask) { processor_.add_mask(*mask); })) {
   processor_.set_config(config);
   // Latched transforms of the whole bag: a node would have them from the start.
-  take_transforms("/tf_static", ros::TIME_MAX);
+  take_transforms(Transforms::Topic::TF_STATIC, ros::TIME_MAX);
 }
 
 Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
@@ -91,20 +91,21 @@ Processor::Environment DeblurFeed::environment(const FrameRequest& request) {
   environment.clock = [this] { return now_ns_; };
   environment.log = log_;
   environment.extrinsic = [this](const std::string& camera_frame, const std::string& imu_frame) {
-    return lookup_R_cam_imu(tf_buffer_, camera_frame, imu_frame);
+    return tf_.R_cam_imu(camera_frame, imu_frame);
   };
   environment.exposure_expected = [this] { return !topics_.exposure.empty(); };
   environment.request = [request] { return request; };
   return environment;
 }
 
-void DeblurFeed::take_transforms(const std::string& topic, ros::Time until) {
-  const auto take = [this](const tf2_msgs::TFMessage& message) { add_transforms(message, &tf_buffer_); };
-  for_each_message<tf2_msgs::TFMessage>(bag_, {topic}, take, ros::TIME_MIN, until);
+void DeblurFeed::take_transforms(Transforms::Topic topic, ros::Time until) {
+  const auto take = [this, topic](const tf2_msgs::TFMessage& message) { tf_.add(message, topic); };
+  const char* const name = topic == Transforms::Topic::TF_STATIC ? "/tf_static" : "/tf";
+  for_each_message<tf2_msgs::TFMessage>(bag_, {name}, take, ros::TIME_MIN, until);
 }
 
 void DeblurFeed::catch_up() {
-  take_transforms("/tf", from_);
+  take_transforms(Transforms::Topic::TF, from_);
   now_ns_ = to_time_ns(from_);
   if (const auto info = last_before<sensor_msgs::CameraInfo>(bag_, topics_.camera_info, from_)) {
     processor_.add_camera_info(info);
@@ -146,7 +147,7 @@ MessageStream::Read DeblurFeed::transform_reader() {
     const auto transforms = read_message<tf2_msgs::TFMessage>(instance);
     if (!transforms || transforms->transforms.empty()) return false;
     message->stamp_ns = to_time_ns(transforms->transforms.front().header.stamp);
-    message->deliver = [this, transforms] { add_transforms(*transforms, &tf_buffer_); };
+    message->deliver = [this, transforms] { tf_.add(*transforms, Transforms::Topic::TF); };
     return true;
   };
 }

@@ -10,11 +10,11 @@
 #include <rosbag/message_instance.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
-#include <tf2/buffer_core.h>
 
 #include "gyro_deblur/config.hpp"
 #include "ros/exposure_adapter.hpp"
 #include "ros/processor.hpp"
+#include "ros/tf_conversion.hpp"
 #include "tools/deblur_topics.hpp"
 #include "tools/message_stream.hpp"
 
@@ -49,7 +49,7 @@ class DeblurFeed {
 
  private:
   Processor::Environment environment(const FrameRequest& request);
-  void take_transforms(const std::string& topic, ros::Time until);
+  void take_transforms(Transforms::Topic topic, ros::Time until);
   /// As in the nodelet: a message without an exposure time costs its frame, not the run.
   MessageStream::Read driver_reader();
   MessageStream::Read transform_reader();
@@ -72,7 +72,7 @@ class DeblurFeed {
   const DeblurTopics topics_;
   const ros::Time from_;
   const Log log_;
-  tf2::BufferCore tf_buffer_;
+  Transforms tf_;
   TimeNs now_ns_ = 0;
   ExposureAdapter adapter_;
   Processor processor_;

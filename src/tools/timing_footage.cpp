@@ -9,7 +9,6 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/Imu.h>
-#include <tf2/buffer_core.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include "base/median.hpp"
@@ -141,11 +140,14 @@ class PairCollector {
 
 std::optional<Eigen::Matrix3d> extrinsic_of(const rosbag::Bag& bag, const std::string& camera_frame,
                                             const std::string& imu_frame) {
-  tf2::BufferCore tf_buffer;
-  for_each_message<tf2_msgs::TFMessage>(bag, {"/tf", "/tf_static"}, [&tf_buffer](const tf2_msgs::TFMessage& message) {
-    add_transforms(message, &tf_buffer);
-  });
-  return lookup_R_cam_imu(tf_buffer, camera_frame, imu_frame);
+  Transforms transforms;
+  const auto add = [&](const std::string& name, Transforms::Topic topic) {
+    for_each_message<tf2_msgs::TFMessage>(bag, {name},
+                                          [&](const tf2_msgs::TFMessage& message) { transforms.add(message, topic); });
+  };
+  add("/tf", Transforms::Topic::TF);
+  add("/tf_static", Transforms::Topic::TF_STATIC);
+  return transforms.R_cam_imu(camera_frame, imu_frame);
 }
 
 }  // namespace

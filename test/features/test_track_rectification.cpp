@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <set>
 
 #include <gtest/gtest.h>
 
@@ -126,6 +127,44 @@ TEST_F(TrackRectifierTest, TracksOfUnknownMotionAreLeftOut) {
   ASSERT_GT(expected.size(), 20u);
   ASSERT_LT(ids.size(), 80u);
   EXPECT_TRUE(std::includes(ids.begin(), ids.end(), expected.begin(), expected.end()));
+}
+
+TEST_F(TrackRectifierTest, ATrackThatWasLeftOutComesBackUnderAnotherId) {
+  const RowExposure exposure = exposure_at(300 * kMs);
+  const TimeNs reference_ns = exposure.reference_time(RectifyTo::MIDDLE_ROW);
+  const std::vector<Track> raw = tracks_of(world_at(reference_ns), exposure);
+  const RotationTrack known_above(motion_.sample({0, reference_ns + 2 * kMs}, kMs, Eigen::Matrix3d::Identity(), {}), {},
+                                  Eigen::Matrix3d::Identity());
+  const auto ids_with = [&](const CameraMotion& motion) {
+    std::vector<std::int32_t> ids;
+    for (const Track& track : rectifier_.rectify(raw, field_, camera_, motion, exposure, reference_ns)) {
+      ids.push_back(track.id);
+    }
+    return ids;
+  };
+  // What nobody has seen keeps the tracker's id.
+  ids_with(known_above);
+  const std::vector<std::int32_t> all = ids_with(motion_);
+  ASSERT_EQ(all.size(), raw.size());
+  for (std::size_t i = 0; i < raw.size(); ++i) EXPECT_EQ(all[i], raw[i].id);
+
+  std::vector<std::int32_t> kept, back = all;
+  for (int gap = 0; gap < 3; ++gap) {
+    const std::vector<std::int32_t> before = back;
+    kept = ids_with(known_above);
+    EXPECT_EQ(ids_with(known_above), kept);
+    back = ids_with(motion_);
+    ASSERT_EQ(back.size(), all.size());
+    for (std::size_t i = 0; i < back.size(); ++i) {
+      const bool was_left_out = std::find(kept.begin(), kept.end(), before[i]) == kept.end();
+      EXPECT_EQ(back[i] != before[i], was_left_out) << i;
+      EXPECT_EQ(back[i] >= kTrackerIds, back[i] != raw[i].id) << i;
+    }
+    EXPECT_EQ(std::set<std::int32_t>(back.begin(), back.end()).size(), back.size());
+    EXPECT_EQ(ids_with(motion_), back);
+  }
+  EXPECT_GT(kept.size(), 20u);
+  EXPECT_LT(kept.size(), 80u);
 }
 
 TEST_F(TrackRectifierTest, WithoutGyroscopeBlocksWithoutResidualVelocityAreNotAtRest) {

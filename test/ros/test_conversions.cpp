@@ -396,8 +396,8 @@ TEST(Markers, LieOnTheRaysOfTheSegmentsInTheOverlaysColours) {
 }
 
 TEST(Extrinsic, TakesImuToCameraCoordinates) {
-  tf2::BufferCore buffer;
-  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "imu"));
+  Transforms transforms;
+  EXPECT_FALSE(transforms.R_cam_imu("camera", "imu"));
   geometry_msgs::TransformStamped transform;  // pose of the camera in the IMU's frame: 90 degrees about z
   transform.header.frame_id = "imu";
   transform.child_frame_id = "camera";
@@ -406,18 +406,38 @@ TEST(Extrinsic, TakesImuToCameraCoordinates) {
   transform.header.stamp = ros::Time(1000);
   tf2_msgs::TFMessage message;
   message.transforms = {transform};
-  add_transforms(message, &buffer);
-  const auto R_cam_imu = lookup_R_cam_imu(buffer, "camera", "imu");
+  transforms.add(message, Transforms::Topic::TF);
+  const auto R_cam_imu = transforms.R_cam_imu("camera", "imu");
   ASSERT_TRUE(R_cam_imu);
   EXPECT_TRUE((*R_cam_imu * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d::UnitX(), 1e-9));
-  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", ""));
-  EXPECT_FALSE(lookup_R_cam_imu(buffer, "camera", "other"));
-  EXPECT_TRUE(lookup_R_cam_imu(buffer, "/camera", "/imu")) << "names of old drivers";
+  EXPECT_FALSE(transforms.R_cam_imu("camera", ""));
+  EXPECT_FALSE(transforms.R_cam_imu("camera", "other"));
+  EXPECT_TRUE(transforms.R_cam_imu("/camera", "/imu")) << "names of old drivers";
   message.transforms[0].header.stamp = ros::Time(1);  // the clock was set back by more than tf remembers
   message.transforms[0].transform.rotation.z = 0;
   message.transforms[0].transform.rotation.w = 1;
-  add_transforms(message, &buffer);
-  EXPECT_TRUE(lookup_R_cam_imu(buffer, "camera", "imu")->isIdentity(1e-9));
+  transforms.add(message, Transforms::Topic::TF);
+  EXPECT_TRUE(transforms.R_cam_imu("camera", "imu")->isIdentity(1e-9));
+}
+
+TEST(Extrinsic, OfTfStaticIsNotReplacedByTf) {
+  // VINS-Mono and VINS-Fusion publish the pose of a frame "camera" in a frame "body".
+  Transforms transforms;
+  tf2_msgs::TFMessage fixed, of_slam;
+  fixed.transforms.resize(1);
+  fixed.transforms[0].header.frame_id = "imu";
+  fixed.transforms[0].child_frame_id = "camera";
+  fixed.transforms[0].transform.rotation.z = fixed.transforms[0].transform.rotation.w = std::sqrt(0.5);
+  of_slam.transforms.resize(1);
+  of_slam.transforms[0].header.frame_id = "body";
+  of_slam.transforms[0].child_frame_id = "camera";
+  of_slam.transforms[0].transform.rotation.w = 1;
+  transforms.add(fixed, Transforms::Topic::TF_STATIC);
+  transforms.add(of_slam, Transforms::Topic::TF);
+  const auto R_cam_imu = transforms.R_cam_imu("camera", "imu");
+  ASSERT_TRUE(R_cam_imu);
+  EXPECT_TRUE((*R_cam_imu * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d::UnitX(), 1e-9));
+  EXPECT_TRUE(transforms.R_cam_imu("camera", "body")->isIdentity(1e-9));
 }
 
 TEST(Parameters, KeepTheirTypes) {
