@@ -62,11 +62,7 @@ void fill_ratios(const FrameBlur& field, const Camera& camera, const RotationTra
 
 std::vector<BurstFrame> burst_frames(const std::string& folder, const std::string& description) {
   const Recording recording = read_frames(folder, description);
-  std::vector<GyroSample> samples;
-  for (const RecordedImu& sample : recording.imu) samples.push_back({sample.t_ns, sample.rate_rad_s});
-  GyroOptions gyro;
-  gyro.time_offset_ns = recording.time_offset_ns;
-  const RotationTrack rotation(samples, gyro, recording.R_cam_imu);
+  const RotationTrack rotation = rotation_of(recording);
   PipelineOptions with, without;
   with.blur_field.max_extent_px = 200;  // 124 px by the gyroscope, and a fifth more
   without.blur_field = with.blur_field;

@@ -143,11 +143,7 @@ std::vector<RecordedMethod> trackers(const Camera& camera, const CameraMotion& m
 
 std::vector<SharedCorners> recorded_tracks(const std::string& folder, const std::string& description) {
   const Recording recording = read_frames(folder, description);
-  std::vector<GyroSample> samples;
-  for (const RecordedImu& sample : recording.imu) samples.push_back({sample.t_ns, sample.rate_rad_s});
-  GyroOptions gyro;
-  gyro.time_offset_ns = recording.time_offset_ns;
-  const RotationTrack rotation(samples, gyro, recording.R_cam_imu);
+  const RotationTrack rotation = rotation_of(recording);
   const Camera camera(recording.camera);
   PipelineOptions options;
   options.blur_field.max_extent_px = 200;  // shield_burst has 144

@@ -321,4 +321,12 @@ Recording read_frames(const std::string& folder, const std::string& description_
   return recording;
 }
 
+RotationTrack rotation_of(const Recording& recording) {
+  std::vector<GyroSample> samples;
+  for (const RecordedImu& sample : recording.imu) samples.push_back({sample.t_ns, sample.rate_rad_s});
+  GyroOptions gyro;
+  gyro.time_offset_ns = recording.time_offset_ns;
+  return RotationTrack(samples, gyro, recording.R_cam_imu);
+}
+
 }  // namespace gyro_deblur

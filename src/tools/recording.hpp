@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 
 #include "gyro_deblur/camera.hpp"
+#include "gyro_deblur/rotation_track.hpp"
 #include "gyro_deblur/time.hpp"
 
 namespace gyro_deblur {
@@ -36,6 +37,9 @@ struct Recording {
   std::vector<RecordedFrame> frames;
   std::vector<RecordedImu> imu;
 };
+
+/// Rotation of its camera, on the camera's clock.
+RotationTrack rotation_of(const Recording& recording);
 
 /// EuRoC's ASL layout: `folder` is mav0 or holds it; `camera` is the sensor's folder, e.g. cam0. Stamps are taken as
 /// they are. No exposure is recorded: `exposure_ns` (0: unknown) is given to every frame. All readers throw
