@@ -27,9 +27,15 @@ double even_path_px(double extent_px);
 /// or from uniform speed by more than curved_path_threshold_px plus even_path_px().
 constexpr double kStraightPathShare = 0.02;
 
-/// Where there is no time for a 2-D filter, or the path is too long for one, paths that deviate from their line by at
-/// most this [px] (or curved_path_threshold_px, if that is larger) plus kStraightPathShare of the extent get a 1-D
-/// filter: it still gains there (doc/reports/experiments_real_world.md).
+/// How much more than kStraightPathShare allows a path deviates from its line, of which it covers `along_px`.
+/// @param across_px  what it covers across the line
+constexpr double excess_deviation_px(double along_px, double across_px) {
+  return across_px / 2 - kStraightPathShare * along_px;
+}
+
+/// Where there is no time for a 2-D filter, the path is too long for one, or a 2-D filter alone would read masked
+/// pixels, paths with at most this excess_deviation_px() get a 1-D filter: it still gains there
+/// (doc/reports/experiments_real_world.md). The first two have curved_path_threshold_px instead, if that is larger.
 constexpr double kMaxStraightDeviationPx = 1.5;
 
 /// Blur of one block from a path (doc/design/blur_model.md):

@@ -137,7 +137,7 @@ struct BlockBlur {
   BlockStatus status = BlockStatus::SHARP;
   /// Set if the speed is non-uniform (even_path_px()): the path along the line.
   std::optional<Path1d> nonuniform_path_px = std::nullopt;
-  /// Set if the path is curved (kStraightPathShare): all of it.
+  /// Set if the path is curved, or far from uniform speed (kStraightPathShare): all of it.
   std::optional<Path2d> curved_path_px = std::nullopt;
   /// Midpoint of the path's ends, and its mean in time, relative to the place at mid-exposure.
   Eigen::Vector2f chord_middle_px = Eigen::Vector2f::Zero();

@@ -26,7 +26,8 @@ struct BlurFieldOptions {
   double max_extent_px = 150.0;  ///< >= min_extent_px; larger blur is TOO_LARGE
   /// A path is curved if it deviates from a straight line by more than this plus 2 % of the extent
   /// (kStraightPathShare), or from uniform speed by more than this plus even_path_px(). Curved paths get the 2-D
-  /// filter. Less than 0.1 px costs a 1-D filter nothing (doc/reports/filter_constants.md).
+  /// filter. Paths that deviate by less than 0.1 px gain no more by a 2-D filter than straight ones do
+  /// (doc/reports/filter_constants.md).
   double curved_path_threshold_px = 0.1;
 
   void validate() const;  ///< throws OptionError

@@ -130,7 +130,7 @@ BlockBlur classify_path(const std::array<Eigen::Vector2d, kPathInstants>& path_p
   }
   blur.chord_middle_px = (0.5 * (path_px.front() + path_px.back())).cast<float>();
   blur.mean_place_px = mean_place(path_px).cast<float>();
-  const double excess_px = 0.5 * fit.across_px - kStraightPathShare * fit.along_px;
+  const double excess_px = excess_deviation_px(fit.along_px, fit.across_px);
   const double threshold_px = options.curved_path_threshold_px;
   if (blur.status != BlockStatus::DEBLURRED || std::max(excess_px, nonuniform_px) <= threshold_px) return blur;
   Path2d curved_path_px;

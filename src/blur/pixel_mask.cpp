@@ -47,7 +47,7 @@ bool reads_masked(const PixelMask& mask, const cv::Rect& rect, const BlockBlur& 
 bool is_slightly_curved(const BlockBlur& blur) {
   if (!blur.curved_path_px) return false;
   const Eigen::Vector2f extent_px = extent_along(*blur.curved_path_px, blur.angle_rad);
-  return 0.5 * extent_px.y() - kStraightPathShare * extent_px.x() <= kMaxStraightDeviationPx;
+  return excess_deviation_px(extent_px.x(), extent_px.y()) <= kMaxStraightDeviationPx;
 }
 
 void require_size(const PixelMask& mask, const FrameBlur& field) {

@@ -20,7 +20,7 @@ void lowpass_rows(const Pixel* const* rows, int width, float* __restrict to) {
 }
 
 void decimate(const float* from, int count, float* to) {
-  // Pixel i of an output is even or odd from the first on; vectors of outputs take every second one.
+  // `first` and `second` are the even and odd pixels from `from` on: neighbouring outputs are two pixels apart.
   const auto each = [](auto first, auto second) {
     decltype(first[0] + first[0]) sum = {};
     for (int k = 0; k < kPairs; k += 2) {

@@ -37,7 +37,8 @@ struct AlignmentSimd {
   const char* name;
   /// Pairs of bytes, each with the one that is `next` bytes farther. Nothing else is read.
   /// @param next    1 or byte_stride
-  /// @param pairs   4 bytes for each of `height` + 1 rows, in a form that convolve_pairs() alone knows
+  /// @param pairs   room for `height` + 1 rows of `stride` pairs, and kPatchRoom more, of 4 bytes each; in a form that
+  ///                convolve_pairs() alone knows
   /// @param stride  of pairs; `width` + kPatchRoom at least
   void (*make_pairs)(const unsigned char* bytes, std::ptrdiff_t byte_stride, std::ptrdiff_t next, void* pairs,
                      std::ptrdiff_t stride, int width, int height);

@@ -1,4 +1,6 @@
 // Bodies of the loops that align blurred patches, once per instruction set (see base/vectors_impl.hpp).
+#include <type_traits>
+
 #include "base/vectors_impl.hpp"
 #include "features/alignment_simd.hpp"
 
@@ -30,6 +32,22 @@ void make_pairs(const unsigned char* bytes, std::ptrdiff_t byte_stride, std::ptr
   }
 }
 
+/// Calls body(vectors, x) for strips of 1 to 4 vectors, whose number is a constant, from column x on. One at a time
+/// waits for its own sums: five are three and two.
+template <typename Body>
+inline void for_each_strip(int width, Body&& body) {
+  int x = 0;
+  for (int left = (width + kLanes - 1) / kLanes; left > 0;) {
+    const int vectors = left > 4 ? 3 : left;
+    if (vectors == 1) body(std::integral_constant<int, 1>(), x);
+    if (vectors == 2) body(std::integral_constant<int, 2>(), x);
+    if (vectors == 3) body(std::integral_constant<int, 3>(), x);
+    if (vectors == 4) body(std::integral_constant<int, 4>(), x);
+    x += vectors * kLanes;
+    left -= vectors;
+  }
+}
+
 /// Two rows at a time: independent sums hide the latency of each.
 template <int kVectors>
 inline void convolve_pair_strip(const Pair* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
@@ -57,18 +75,10 @@ inline void convolve_pair_strip(const Pair* pairs, std::ptrdiff_t pair_stride, s
 void convolve_pairs(const void* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
                     const std::int32_t* weights, int taps, float scale, float* written, std::ptrdiff_t stride,
                     int width, int height) {
-  int x = 0;
-  for (int left = (width + kLanes - 1) / kLanes; left > 0;) {
-    const int vectors = left > 4 ? 3 : left;
-    const auto strip = vectors == 1   ? convolve_pair_strip<1>
-                       : vectors == 2 ? convolve_pair_strip<2>
-                       : vectors == 3 ? convolve_pair_strip<3>
-                                      : convolve_pair_strip<4>;
-    strip(static_cast<const Pair*>(pairs) + x, pair_stride, next, offsets, weights, taps, scale, written + x, stride,
-          height);
-    x += vectors * kLanes;
-    left -= vectors;
-  }
+  for_each_strip(width, [&](auto vectors, int x) {
+    convolve_pair_strip<vectors()>(static_cast<const Pair*>(pairs) + x, pair_stride, next, offsets, weights, taps,
+                                   scale, written + x, stride, height);
+  });
 }
 
 /// Two rows at a time: independent sums hide the latency of each.
@@ -96,17 +106,9 @@ inline void convolve_strip(const float* read, std::ptrdiff_t read_stride, const 
 
 void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
               float* written, std::ptrdiff_t stride, int width, int height) {
-  int x = 0;
-  for (int left = (width + kLanes - 1) / kLanes; left > 0;) {
-    const int vectors = left > 4 ? 3 : left;
-    const auto strip = vectors == 1   ? convolve_strip<1>
-                       : vectors == 2 ? convolve_strip<2>
-                       : vectors == 3 ? convolve_strip<3>
-                                      : convolve_strip<4>;
-    strip(read + x, read_stride, offsets, shares, taps, written + x, stride, height);
-    x += vectors * kLanes;
-    left -= vectors;
-  }
+  for_each_strip(width, [&](auto vectors, int x) {
+    convolve_strip<vectors()>(read + x, read_stride, offsets, shares, taps, written + x, stride, height);
+  });
 }
 
 void sort_by_two(const float* __restrict pixels, float* __restrict sorted, int count) {

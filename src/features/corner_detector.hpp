@@ -16,7 +16,7 @@ namespace gyro_deblur {
 struct CornerRequest {
   int count;                                  ///< at most
   double min_distance_px;                     ///< > 0: from each other and from those that are followed
-  int margin_px;                              ///< >= 4: from the image's edge
+  int margin_px;                              ///< from the image's edge; less than 8 counts as 8
   const cv::Mat& allowed;                     ///< CV_8UC1 of the image's size, not 0 where one may be; or empty
   const std::vector<Eigen::Vector2d>& taken;  ///< those that are followed
 };

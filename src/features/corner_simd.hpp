@@ -23,7 +23,8 @@ struct CornerSimd {
   /// Determinant over trace of the products' sums over 3 x 3 pixels: between half the smaller eigenvalue and all of it
   /// (W. Foerstner, E. Guelch, ISPRS 1987). 0 where there is no gradient.
   void (*rate)(const GradientProducts* rows, float* strengths, int width);
-  /// Columns x, first_x <= x < last_x, whose strength is that of none of the eight neighbours or more.
+  /// Columns x, first_x <= x < last_x, that are stronger than all eight neighbours. Of equal neighbours the first
+  /// counts.
   /// @param columns  room for last_x - first_x
   /// @return how many
   int (*find_peaks)(const float* above, const float* middle, const float* below, int first_x, int last_x, int* columns);

@@ -22,9 +22,7 @@ class CornerStrengths {
   /// Of row y, 2 <= y < height - 2.
   const float* row(int y) const { return strengths_.row(y); }
 
-  /// Columns x, first <= x < end, whose strength is that of none of the eight neighbours or more.
-  /// @param columns  room for end - first
-  /// @return how many
+  /// See CornerSimd::find_peaks().
   int find_peaks(int y, int first, int end, int* columns) const {
     return simd_.find_peaks(row(y - 1), row(y), row(y + 1), first, end, columns);
   }

@@ -63,6 +63,7 @@ class Translation {
     for (int refinement = 0; refinement < kRefinements; ++refinement) try_direction(refined(best), &best, &least);
     return best;
   }
+
   /// Takes out of the points' motion a small rotation that most of them share, and adapts the direction.
   void correct_rotation(Eigen::Vector3d* direction) {
     constexpr int kIterations = 5;

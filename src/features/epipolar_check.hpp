@@ -11,7 +11,7 @@ namespace gyro_deblur {
 /// of a static scene is one translation, which two points determine and the others confirm. A small rotation that most
 /// points share is taken out as well: a bias, or a readout time that is a little off, leaves one. Where most points
 /// still do not confirm the translation, the rotation is not that of the camera (or not known), and any epipolar
-/// geometry counts. The same for the same points.
+/// geometry counts. Deterministic.
 /// @param rotated   directions in the first image, rotated by the camera's rotation; any length, z > 0
 /// @param seen      directions of the same points in the second image; the same
 /// @param focal_px  pixels for a direction's change by 1

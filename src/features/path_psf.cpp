@@ -116,7 +116,7 @@ void draw_samples(const Path2d& path_px, int along, const Eigen::Array2f& origin
     const auto share_at = [&](int place) -> float& { return along == 0 ? shares(k, place) : shares(place, k); };
     for (int place = 0; place < places; ++place) {
       if (!(share_at(place) > kLeastPixelShare)) continue;
-      const int first = std::min(place, places - 2);  // of the last pixel the one before, which has nothing more
+      const int first = std::min(place, places - 2);  // the last pixel has no next one
       if (first < place) share_at(first) = 0;
       pairs->push_back(along == 0 ? PathPair{k, first, share_at(first), share_at(first + 1)}
                                   : PathPair{first, k, share_at(first), share_at(first + 1)});

@@ -31,7 +31,7 @@ struct PathPair {
 
 /// The pixels that are read for one that is written.
 struct PathPsf {
-  std::vector<PathPair> pairs;  ///< shares sum to 1; no pixel is in two pairs
+  std::vector<PathPair> pairs;  ///< shares sum to 1; no pixel has shares in two pairs
   int axis = 0;                 ///< 0: a pair's second pixel is to the right of its first; 1: below
   PixelBox reach;               ///< of all pixels, from the written one; two or more along each axis
   float energy = 0;             ///< sum of the squared shares

@@ -92,6 +92,7 @@ std::vector<cv::Point2f> corners_everywhere(const cv::Mat& image, const cv::Mat&
           const int x = peaks[static_cast<std::size_t>(i)];
           if (!usable.empty() && usable.at<uchar>(y, x) == 0) continue;
           const float value = strengths.row(y)[x];
+          if (!(value > 0)) continue;  // where there is one gradient alone, of rounding
           best = std::max(best, value);
           candidates.emplace_back(value, cv::Point2f(static_cast<float>(x), static_cast<float>(y)));
         }

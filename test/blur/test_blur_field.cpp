@@ -194,14 +194,14 @@ TEST(ClassifyPath, ThereAndBackCoversTheLineOnce) {
 
 TEST(ClassifyPath, NonuniformSpeedIsCurvedBeyondTheThreshold) {
   // The parabola leaves uniform speed by a quarter of its coefficient, half of that after the best shift.
-  constexpr double kUnevenPx = 8;
-  const auto path_px = path_of([](double t) { return Eigen::Vector2d(20 * t + kUnevenPx * t * t, 0); });
+  constexpr double kNonuniformPx = 8;
+  const auto path_px = path_of([](double t) { return Eigen::Vector2d(20 * t + kNonuniformPx * t * t, 0); });
   BlurFieldOptions options;
-  options.curved_path_threshold_px = 1.001 * (kUnevenPx / 8 - even_path_px(20));
+  options.curved_path_threshold_px = 1.001 * (kNonuniformPx / 8 - even_path_px(20));
   BlockBlur blur = classify_path(path_px, options);
   EXPECT_TRUE(blur.nonuniform_path_px);
   EXPECT_FALSE(blur.curved_path_px);
-  options.curved_path_threshold_px = 0.999 * (kUnevenPx / 8 - even_path_px(20));
+  options.curved_path_threshold_px = 0.999 * (kNonuniformPx / 8 - even_path_px(20));
   blur = classify_path(path_px, options);
   EXPECT_TRUE(blur.nonuniform_path_px);
   EXPECT_TRUE(blur.curved_path_px);

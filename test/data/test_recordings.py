@@ -235,7 +235,7 @@ class PhoneSharp(Recording):
         self.assertGreater(max(f["center_extent_px"] for f in self.report["frames"]), 1)
 
     def test_timing_is_found_in_the_footage(self):
-        """1.3 s of a phone that is walked with: little for calibrate, but enough to know it by."""
+        """1.3 s of a phone in a car: little for calibrate, but enough to know it by."""
         report_path = os.path.join(self.root, "timing.json")
         run("calibrate", self.input, "--config", config(self.CONFIG), "--estimate-rotation", "--json",
             report_path, "--quiet")

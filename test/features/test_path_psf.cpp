@@ -79,9 +79,8 @@ TEST(PathPsf, AStraightPathHasTwoPixelsALine) {
 }
 
 TEST(PathPsf, ALineHasTheShareOfTheTimeNearIt) {
-  // 8 px at uniform speed and a slope of a half: a line is near for a pixel's time, the last ones for half of it. Their
-  // places are the means of the time there, weighted by how near: a third of a line
-  // inside at the ends.
+  // 8 px at uniform speed: an inner row gets the time of a pixel, the first and the last half of it. The mean place of
+  // these two is a third of a row inside.
   Path2d path_px;
   for (int k = 0; k < kPathInstants; ++k) path_px[k] = {0.5f * static_cast<float>(k), static_cast<float>(k)};
   PathPsf psf;
