@@ -59,7 +59,7 @@ struct PipelineRequest {
   bool luminance = false;        ///< the deblurred luminance
   bool global_shutter = false;   ///< the deblurred image with all rows moved to the reference time
   bool input_luminance = false;  ///< the luminance of the image as it came
-  /// No 2-D filters, which take three to five times as long. Has no effect on engine "fourier".
+  /// No 2-D filters, which take two to four times as long. Has no effect on engine "fourier".
   bool behind_camera_rate = false;
   /// The image repeats the picture of the call before. The motion that was found for that picture is used again.
   /// `motion` and `exposure` have to be those of the call before, too.

@@ -48,7 +48,7 @@ void visit(Table<BlurFieldOptions>, V&& visitor) {
       {"curved_path_threshold", within(0, 100, "px"),
        "A path counts as curved if it deviates from a straight line by more than this plus 2 % of its length, or from "
        "uniform speed by more than this plus 0.25 px (above 20 px of blur: more). Curved blur gets 2-D filters, which "
-       "take three to five times as long as 1-D filters.",
+       "take two to four times as long as 1-D filters.",
        Change::WHILE_RUNNING},
       &O::curved_path_threshold_px);
 }

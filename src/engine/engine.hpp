@@ -81,7 +81,7 @@ class Engine {
 /// - "opencl", "opencl:INDEX" or "opencl:NAME": the first GPU (else the first device), or a device by its index or a
 ///   part of its platform's or its own name in any case. When it is absent or fails, also in mid-run, the "cpu" engine
 ///   takes over with that very frame, and take_warning() says why;
-/// - "fourier": the inverse of the whole path for all blocks, a third to a fifth as fast as "cpu";
+/// - "fourier": the inverse of the whole path for all blocks, a half to a quarter as fast as "cpu";
 /// - "auto": "cpu", also where there is a GPU.
 /// Throws OptionError that lists the names.
 std::unique_ptr<Engine> make_engine(const std::string& engine, int threads = 0);
