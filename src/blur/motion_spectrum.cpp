@@ -9,14 +9,13 @@
 #include <utility>
 
 #include <Eigen/LU>
-#include <opencv2/imgproc.hpp>
 
 #include "base/fourier.hpp"
 #include "base/fourier_simd.hpp"
 #include "base/median.hpp"
-#include "base/one_thread.hpp"
 #include "base/parallel.hpp"
 #include "blur/image_noise.hpp"
+#include "blur/ratio_simd.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -159,6 +158,15 @@ struct Halved {
   double noise_variance = 0;  // [grey levels^2]
 };
 
+cv::Mat halved_once(const cv::Mat& image, int threads) {
+  static const RatioSimd& simd = select_for_cpu<RatioSimd>();
+  cv::Mat half(image.rows / 2, image.cols / 2, CV_8UC1);
+  constexpr int kRowsAtATime = 32;
+  parallel_for(half.rows, threads, kRowsAtATime,
+               [&](int row) { simd.halve(image.ptr(2 * row), image.ptr(2 * row + 1), half.cols, half.ptr(row)); });
+  return half;
+}
+
 /// Extents from 11 to 22 px are left, of which a window holds 6 to 11: as many lobes are seen with a third of the blur
 /// as with three times as much.
 Halved halved(const cv::Mat& luminance, double extent_px, double noise, int threads) {
@@ -167,11 +175,7 @@ Halved halved(const cv::Mat& luminance, double extent_px, double noise, int thre
   constexpr int kFewest = 3;  // windows side by side, of an image that is halved
   Halved level{luminance, 1, noise * noise + kRounding};
   while (extent_px / level.shrink > kLargestPx && std::min(level.image.cols, level.image.rows) >= kFewest * kWindow) {
-    const cv::Size half(level.image.cols / 2, level.image.rows / 2);
-    cv::Mat image;
-    on_one_thread([&] {
-      cv::resize(level.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), image, half, 0, 0, cv::INTER_AREA);
-    });
+    const cv::Mat image = halved_once(level.image, threads);
     // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
     const double shared = image_noise(image, PixelLayout::GRAY, 8, 1, {}, threads).value_or(0);
     level = {image, 2 * level.shrink, std::max(level.noise_variance / 4 + kRounding, shared * shared)};

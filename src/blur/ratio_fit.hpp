@@ -2,12 +2,14 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <memory>
 #include <vector>
 
 #include <Eigen/Core>
 
 #include "blur/motion_spectrum.hpp"
+#include "blur/ratio_simd.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
@@ -29,44 +31,30 @@ class RatioFit {
   std::vector<double> costs(double ratio, int steps = 1);
 
   /// Depth of the spectrum's zeros at the newest ratio: 1 as deep as the path predicts, 0 none.
-  double depth() const { return common_[kCommon - 1]; }
+  double depth() const { return common_[kFitCommon - 1]; }
 
  private:
-  static constexpr int kCommon = 4;  // slope, curve, cube, depth
-  using Vector = Eigen::Matrix<float, kCommon, 1>;
+  using Vector = Eigen::Matrix<float, kFitCommon, 1>;  // slope, curve, cube, depth
 
   /// |H|^2 of a path by frequency, linear between its entries.
-  class Transfer {
-   public:
+  struct Transfer {
     Transfer(const std::array<float, kPathInstants>& path, double last_frequency);
-    float at(float frequency) const;
 
-   private:
-    std::shared_ptr<const std::vector<float>> squared_;
-    float per_wave_;
+    std::shared_ptr<const std::vector<float>> squared;
+    float entries_per_wave;
   };
-  struct Spectrum {
-    int window;
-    int begin, end;  ///< of its points
-    Transfer transfer;
-    float offset;
-    float shift = 0;  ///< of the offset, by the newest step
+  /// Up to kFitLanes spectra, one in each lane.
+  struct Group {
+    FitSpectra spectra;
+    std::vector<FitPoint> points;
+    std::vector<Transfer> transfers;
+    std::vector<int> windows;
   };
-  /// One element for each point of all spectra, by which loops vectorise.
-  struct Points {
-    std::vector<float> x, x2, x3, gain;  ///< that slope, curve, cube and depth are multiplied with
-    std::vector<float> frequency;
-    std::vector<float> before, behind;  ///< shares of the frequencies that are `reach` away after windowing
-    std::vector<float> reach;           ///< [waves], 1 where the extent is the same all over the window
-    std::vector<float> log_power, noise, weight, root_weight;
-    std::vector<float> share, error, robust;  ///< of the signal in the power; of log_power; weight times share
-  };
-  void apply(float ratio);
-  void evaluate();
+  void add(const std::vector<MotionSpectrum>& spectra, std::size_t first, double largest_ratio);
+  /// @return the change of common_
   Vector step();
 
-  std::vector<Spectrum> spectra_;
-  Points points_;
+  std::vector<Group> groups_;
   Vector common_;
   int windows_ = 0;
 };
