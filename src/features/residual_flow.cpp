@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <utility>
 
 #include <Eigen/Geometry>
@@ -52,6 +53,39 @@ std::uint64_t distance_key(float distance_px2, std::size_t index) {
   std::memcpy(&bits, &distance_px2, sizeof(bits));
   return std::uint64_t{bits} << 32 | index;
 }
+
+/// The corners nearest to places of which each is near the one before.
+class NearestCorners {
+ public:
+  /// @param corners  at least kCornersOfPlane, with places in the image
+  explicit NearestCorners(const NearbyVelocities& corners) : corners_(corners), by_distance_(corners.size()) {}
+
+  /// The kCornersOfPlane nearest, by distance_key(), the last one the farthest.
+  const std::uint64_t* nearest_to(const Eigen::Vector2f& place_px) {
+    // No farther than those of the place before, of which as many are here.
+    constexpr float kRounding = 1.001f;
+    const float within_px = kRounding * (reach_px_ + (place_px - place_px_).norm());
+    std::size_t count = 0;
+    for (std::size_t k = 0; k < corners_.size(); ++k) {
+      const float off_x = corners_.x_px[k] - place_px.x(), off_y = corners_.y_px[k] - place_px.y();
+      const float distance_px2 = off_x * off_x + off_y * off_y;
+      by_distance_[count] = distance_key(distance_px2, k);
+      count += distance_px2 <= within_px * within_px ? 1 : 0;
+    }
+    const auto last = by_distance_.begin() + kCornersOfPlane - 1;
+    std::nth_element(by_distance_.begin(), last, by_distance_.begin() + static_cast<std::ptrdiff_t>(count));
+    const std::size_t farthest = *last & kIndexBits;
+    reach_px_ = (Eigen::Vector2f(corners_.x_px[farthest], corners_.y_px[farthest]) - place_px).norm();
+    place_px_ = place_px;
+    return by_distance_.data();
+  }
+
+ private:
+  const NearbyVelocities& corners_;
+  std::vector<std::uint64_t> by_distance_;
+  Eigen::Vector2f place_px_ = Eigen::Vector2f::Zero();
+  float reach_px_ = std::numeric_limits<float>::infinity();
+};
 
 /// Whether a window around `p` lies in the image: one that is cut by its border drags the corner along.
 bool has_window(const cv::Point2f& p, const cv::Size& size) {
@@ -359,17 +393,12 @@ ResidualField ResidualFlow::mean_velocities(const BlockGrid& grid, int threads) 
   for (std::size_t k = 0; k < samples_.size(); ++k) everywhere.set(k, samples_[k].pixel_px, samples_[k].velocity_px_s);
   const VelocityPlane scene = fit_plane(everywhere, kIterationsOfPlane, kSlopePrior);
   parallel_for(grid.rows(), threads, 1, [&](int row) {
-    std::vector<std::uint64_t> by_distance(samples_.size());  // see distance_key
+    NearestCorners corners(everywhere);
     NearbyVelocities nearest;
     nearest.resize(kCornersOfPlane);
     for (int i = row * grid.cols(); i < (row + 1) * grid.cols(); ++i) {
       const Eigen::Vector2d center_px = grid.center(i);
-      const auto x_px = static_cast<float>(center_px.x()), y_px = static_cast<float>(center_px.y());
-      for (std::size_t k = 0; k < samples_.size(); ++k) {
-        const float off_x = everywhere.x_px[k] - x_px, off_y = everywhere.y_px[k] - y_px;
-        by_distance[k] = distance_key(off_x * off_x + off_y * off_y, k);
-      }
-      std::nth_element(by_distance.begin(), by_distance.begin() + kCornersOfPlane - 1, by_distance.end());
+      const std::uint64_t* by_distance = corners.nearest_to(center_px.cast<float>());
       for (std::size_t k = 0; k < kCornersOfPlane; ++k) {
         const Sample& sample = samples_[by_distance[k] & kIndexBits];
         nearest.set(k, sample.pixel_px - center_px, sample.velocity_px_s);
