@@ -74,6 +74,15 @@ export LSAN_OPTIONS="suppressions=${GYRO_DEBLUR_ROOT}/scripts/lsan.supp:print_su
 # Libraries of others are not instrumented: what happens inside them is left out.
 export TSAN_OPTIONS=halt_on_error=1:second_deadlock_stack=1:ignore_noninstrumented_modules=1
 
+# A devel space in use would give instrumented programs its own libraries.
+libraries=()
+IFS=: read -r -a folders <<< "${LD_LIBRARY_PATH:-}"
+for folder in "${folders[@]}"; do
+  [[ -e "${folder}/libgyro_deblur_core.so" ]] || libraries+=("${folder}")
+done
+LD_LIBRARY_PATH="$(IFS=:; echo "${libraries[*]}")"
+export LD_LIBRARY_PATH
+
 # configure FOLDER ARGUMENTS...: libraries several files at a time, which saves a sixth of the time.
 configure() {
   local folder="$1"
