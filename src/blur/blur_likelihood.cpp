@@ -6,11 +6,7 @@
 #include <complex>
 #include <numeric>
 
-#include <opencv2/imgproc.hpp>
-
-#include "base/one_thread.hpp"
 #include "base/parallel.hpp"
-#include "blur/image_noise.hpp"
 #include "blur/spectrum_simd.hpp"
 #include "blur/squared_transfer.hpp"
 
@@ -110,21 +106,11 @@ PathPhases phases_of(const Path2d& path_px, double scale) {
 
 BlurLikelihood::BlurLikelihood(const cv::Mat& luminance, double noise_grey_levels, int threads) {
   CV_Assert(luminance.type() == CV_8UC1);
-  constexpr double kRounding = 1.0 / 12;
-  levels_.push_back(
-      {clipped(luminance, noise_grey_levels, threads), noise_grey_levels * noise_grey_levels + kRounding});
+  levels_.push_back(noisy_image(clipped(luminance, noise_grey_levels, threads), noise_grey_levels));
   while (levels_.size() < kLevels) {
-    const Level& finer = levels_.back();
-    const cv::Size half(finer.image.cols / 2, finer.image.rows / 2);
-    if (std::min(half.width, half.height) < kSpectrumWindow) break;
-    Level level;
-    on_one_thread([&] {
-      cv::resize(finer.image(cv::Rect(0, 0, 2 * half.width, 2 * half.height)), level.image, half, 0, 0, cv::INTER_AREA);
-    });
-    // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
-    const double shared = image_noise(level.image, PixelLayout::GRAY, 8, 1, {}, threads).value_or(0);
-    level.noise_variance = std::max(finer.noise_variance / 4 + kRounding, shared * shared);
-    levels_.push_back(std::move(level));
+    const cv::Mat& finer = levels_.back().pixels;
+    if (std::min(finer.cols, finer.rows) / 2 < kSpectrumWindow) break;
+    levels_.push_back(downsample2x(levels_.back(), threads));
   }
 }
 
@@ -136,7 +122,7 @@ int BlurLikelihood::window_px(double extent_px) const { return kSpectrumWindow <
 
 double BlurLikelihood::log_ratio(const cv::Rect& block, const BlockBlur& blur) const {
   const int level = level_of(blur.extent_px);
-  const cv::Mat& image = levels_[level].image;
+  const cv::Mat& image = levels_[level].pixels;
   if (std::min(image.cols, image.rows) < kSpectrumWindow) return 0;
   const int shrink = 1 << level;
   const auto begin = [&](int middle_px, int size) {

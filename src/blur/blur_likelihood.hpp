@@ -5,6 +5,7 @@
 
 #include <opencv2/core.hpp>
 
+#include "blur/noisy_image.hpp"
 #include "gyro_deblur/frame_blur.hpp"
 
 namespace gyro_deblur {
@@ -31,17 +32,12 @@ class BlurLikelihood {
   int window_px(double extent_px) const;
 
   /// The luminance, its pixels limited to what their neighbours and the noise allow: hot ones are gone.
-  const cv::Mat& without_outliers() const { return levels_.front().image; }
+  const cv::Mat& without_outliers() const { return levels_.front().pixels; }
 
  private:
-  /// The image, or what 2x2 pixels of the level before have in the mean.
-  struct Level {
-    cv::Mat image;
-    double noise_variance;  // grey levels^2
-  };
   int level_of(double extent_px) const;
 
-  std::vector<Level> levels_;
+  std::vector<NoisyImage> levels_;  // the image, and halves of its size
 };
 
 /// BlurLikelihood::log_ratio of every DEBLURRED block, row by row, 0 for the others. Where windows overlap because they

@@ -14,8 +14,7 @@
 #include "base/fourier_simd.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
-#include "blur/image_noise.hpp"
-#include "blur/ratio_simd.hpp"
+#include "blur/noisy_image.hpp"
 
 namespace gyro_deblur {
 namespace {
@@ -153,32 +152,19 @@ struct Window {
 
 /// The image, halved as often as suits the blur.
 struct Halved {
-  cv::Mat image;
-  int shrink = 1;
-  double noise_variance = 0;  // [grey levels^2]
+  NoisyImage image;
+  int shrink;
 };
-
-cv::Mat halved_once(const cv::Mat& image, int threads) {
-  static const RatioSimd& simd = select_for_cpu<RatioSimd>();
-  cv::Mat half(image.rows / 2, image.cols / 2, CV_8UC1);
-  constexpr int kRowsAtATime = 32;
-  parallel_for(half.rows, threads, kRowsAtATime,
-               [&](int row) { simd.halve(image.ptr(2 * row), image.ptr(2 * row + 1), half.cols, half.ptr(row)); });
-  return half;
-}
 
 /// Extents from 11 to 22 px are left, of which a window holds 6 to 11: as many lobes are seen with a third of the blur
 /// as with three times as much.
 Halved halved(const cv::Mat& luminance, double extent_px, double noise, int threads) {
   constexpr double kLargestPx = kWindow / 5.66;
-  constexpr double kRounding = 1.0 / 12;
   constexpr int kFewest = 3;  // windows side by side, of an image that is halved
-  Halved level{luminance, 1, noise * noise + kRounding};
-  while (extent_px / level.shrink > kLargestPx && std::min(level.image.cols, level.image.rows) >= kFewest * kWindow) {
-    const cv::Mat image = halved_once(level.image, threads);
-    // A camera's own filters and JPEG leave noise that neighbouring pixels share, which a mean does not take away.
-    const double shared = image_noise(image, PixelLayout::GRAY, 8, 1, {}, threads).value_or(0);
-    level = {image, 2 * level.shrink, std::max(level.noise_variance / 4 + kRounding, shared * shared)};
+  Halved level{noisy_image(luminance, noise), 1};
+  while (extent_px / level.shrink > kLargestPx &&
+         std::min(level.image.pixels.cols, level.image.pixels.rows) >= kFewest * kWindow) {
+    level = {downsample2x(level.image, threads), 2 * level.shrink};
   }
   return level;
 }
@@ -387,7 +373,7 @@ void take_samples(const Slices& slices, const Eigen::Vector2d& direction, float 
 
 void add_spectra(const Window& window, int index, const Halved& level, Scratch* scratch,
                  std::vector<MotionSpectrum>* spectra) {
-  take_powers(level.image(window.rect), scratch);
+  take_powers(level.image.pixels(window.rect), scratch);
   const Path2& path_px = window.blur.path_px;
   const Eigen::Vector2d direction = direction_of(path_px), normal(-direction.y(), direction.x());
   const Slices slices = slices_of(path_px, direction);
@@ -395,7 +381,7 @@ void add_spectra(const Window& window, int index, const Halved& level, Scratch* 
   axes << direction, normal;
   const Eigen::Matrix2d chord_variance =
       axes.transpose() * window.blur.chord_variance_px2 * axes / std::pow(extent_along(path_px, direction), 2);
-  take_samples(slices, direction, static_cast<float>(level.noise_variance), scratch);
+  take_samples(slices, direction, static_cast<float>(level.image.noise_variance), scratch);
   for (int slice = 0; slice < slices.count; ++slice) {
     const double steepness = slices.count > 1 ? -kSteepest + (slice + 0.5) * slices.step : 0;
     MotionSpectrum motion{index, {}, points_of(scratch->samples, slice, steepness, chord_variance)};
@@ -421,9 +407,9 @@ std::vector<MotionSpectrum> motion_spectra(const FrameBlur& field, const cv::Mat
   std::vector<Window> windows;
   // Those that overlap by more than half add little; more than some 16 are not needed.
   constexpr double kWindows = 16;
-  const double step_px = std::max(0.5 * kWindow, std::sqrt(static_cast<double>(level.image.total()) / kWindows));
-  for (const int y : places(level.image.rows, step_px)) {
-    for (const int x : places(level.image.cols, step_px)) {
+  const double step_px = std::max(0.5 * kWindow, std::sqrt(static_cast<double>(level.image.pixels.total()) / kWindows));
+  for (const int y : places(level.image.pixels.rows, step_px)) {
+    for (const int x : places(level.image.pixels.cols, step_px)) {
       const cv::Rect rect(x, y, kWindow, kWindow);
       const cv::Rect rect_px(level.shrink * x, level.shrink * y, level.shrink * kWindow, level.shrink * kWindow);
       std::optional<WindowBlur> blur = blur_in(field, rect_px, level.shrink);

@@ -32,14 +32,16 @@ struct FitSpectra {
 
 /// slope, curve, cube and depth of the model, which all spectra have in common.
 constexpr int kFitCommon = 4;
+/// Powers of x in the model: the offset's, and those of slope, curve and cube.
+constexpr int kFitPowers = 4;
 
-/// Sums over a spectrum's points for a step of Newton's method. x^k is multiplied with the weight, g is the gain.
+/// Weighted sums over a spectrum's points for a step of Newton's method. g is the gain.
 struct FitSums {
-  FitLanes x[7];        ///< by k
-  FitLanes x_gain[4];   ///< x^k g
-  FitLanes gain2;       ///< g^2
-  FitLanes x_error[4];  ///< of x^k times the error
-  FitLanes gain_error;  ///< of g times the error
+  FitLanes x[2 * kFitPowers - 1];  ///< of x^k
+  FitLanes x_gain[kFitPowers];     ///< of x^k g
+  FitLanes gain2;                  ///< of g^2
+  FitLanes x_error[kFitPowers];    ///< of x^k times the error
+  FitLanes gain_error;             ///< of g times the error
 };
 
 /// The functions of one instruction set.
@@ -47,13 +49,12 @@ struct RatioSimd {
   const char* name;
   /// Gains of the paths times `ratio`.
   void (*apply)(const FitSpectra& spectra, float ratio, FitPoint* points);
-  /// Shares and errors of the model, and their sums. @param common  kFitCommon values
+  /// Shares and errors of the model, and their sums.
+  /// @param common  kFitCommon values
   void (*evaluate)(const FitSpectra& spectra, const float* common, FitPoint* points, FitSums* sums);
   /// Half of the sums of squared residuals over their variance, Huber's, once the model has changed.
-  /// @param change  of kFitCommon values
+  /// @param change  of the kFitCommon values
   void (*costs)(const FitSpectra& spectra, const FitPoint* points, const float* change, float* costs);
-  /// Rounded means of 2 x 2 px. @param count  of means
-  void (*halve)(const std::uint8_t* upper, const std::uint8_t* lower, int count, std::uint8_t* to);
 };
 
 GYRO_DEBLUR_SIMD_KERNELS(RatioSimd)

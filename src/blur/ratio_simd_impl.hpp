@@ -1,6 +1,6 @@
 // Body of the loops that the estimate of the exposure spends its time in, once per instruction set (see
 // base/vectors_impl.hpp).
-#include "base/vectors_impl.hpp"
+#include "base/logarithms_impl.hpp"
 #include "blur/ratio_simd.hpp"
 
 namespace gyro_deblur::GYRO_DEBLUR_ISA {
@@ -15,28 +15,10 @@ constexpr float kOutlier = 2.5f;
 
 inline Vector absolute(Vector v) { return v < 0 ? -v : v; }
 
-/// Natural logarithm to 1e-5, of normal x > 0: between powers of two by a polynomial through Chebyshev's points.
-inline Vector log_of(Vector x) {
-  IntVector bits = load_as<IntVector>(&x);
-  const IntVector exponent = (bits >> 23) - 127;
-  bits = (bits & 0x7fffff) | 0x3f800000;
-  const Vector m = load_as<Vector>(&bits);
-  constexpr float kLog2 = 0.69314718f;
-  return kLog2 * __builtin_convertvector(exponent, Vector) - 1.93675974f +
-         m * (3.5140873f + m * (-2.44002976f + m * (1.11609003f + m * (-0.28382685f + m * 0.030449f))));
-}
-
-/// Exponential function to a share of 1e-5, of x limited to -80 to 80.
-inline Vector exp_within(Vector x) {
-  constexpr float kLog2e = 1.442695041f, kFarthest = 80;
-  const Vector farthest = Vector{} + kFarthest;
-  x = x < -farthest ? -farthest : x;
-  x = x > farthest ? farthest : x;
-  const Vector power = kLog2e * x + 127.0f;
-  const IntVector whole = __builtin_convertvector(power, IntVector), bits = whole << 23;
-  const Vector rest = power - __builtin_convertvector(whole, Vector);
-  return load_as<Vector>(&bits) *
-         (1.0000036f + rest * (0.69296955f + rest * (0.24162132f + rest * (0.05171774f + rest * 0.01368398f))));
+inline Vector within(Vector v, float most) {
+  const Vector limit = Vector{} + most;
+  v = v < -limit ? -limit : v;
+  return v > limit ? limit : v;
 }
 
 /// The squared transfer functions of spectra `lane` and following at these frequencies.
@@ -69,15 +51,17 @@ void apply(const FitSpectra& spectra, float ratio, FitPoint* points) {
 }
 
 void evaluate(const FitSpectra& spectra, const float* common, FitPoint* points, FitSums* sums) {
-  constexpr float kTiny = 1e-6f;
+  constexpr float kTiny = 1e-6f, kLargestLog = 80;  // a fit that goes astray stays finite
   const float slope = common[0], curve = common[1], cube = common[2], depth = common[3];
   for (int lane = 0; lane < kFitLanes; lane += kLanes) {
     const Vector offset = load(spectra.offset + lane);
-    Vector of_x[7] = {}, of_x_gain[4] = {}, of_gain2 = {}, of_x_error[4] = {}, of_gain_error = {};
+    Vector of_x[2 * kFitPowers - 1] = {}, of_x_gain[kFitPowers] = {}, of_gain2 = {}, of_x_error[kFitPowers] = {},
+                                 of_gain_error = {};
     for (int i = 0; i < spectra.points; ++i) {
       FitPoint& p = points[i];
       const Vector x = load(p.x + lane), gain = load(p.gain + lane);
-      const Vector signal = exp_within(offset + x * (slope + x * (curve + x * cube)) + depth * gain);
+      const Vector log_signal = offset + x * (slope + x * (curve + x * cube)) + depth * gain;
+      const Vector signal = exp_of(within(log_signal, kLargestLog));
       const Vector both = signal + load(p.noise + lane), share = signal / both;
       const Vector error = load(p.log_power + lane) - log_of(both);
       const Vector limit = kOutlier / (absolute(error) * load(p.root_weight + lane) + kTiny);
@@ -87,18 +71,18 @@ void evaluate(const FitSpectra& spectra, const float* common, FitPoint* points, 
       Vector weight = robust * share, weighted_gain = weight * gain, weighted_error = robust * error;
       of_gain2 += weighted_gain * gain;
       of_gain_error += weighted_error * gain;
-      for (int k = 0; k < 7; ++k) {
+      for (int k = 0; k < 2 * kFitPowers - 1; ++k) {
         of_x[k] += weight;
         weight *= x;
-        if (k >= 4) continue;
+        if (k >= kFitPowers) continue;
         of_x_gain[k] += weighted_gain;
         of_x_error[k] += weighted_error;
         weighted_gain *= x;
         weighted_error *= x;
       }
     }
-    for (int k = 0; k < 7; ++k) store(sums->x[k] + lane, of_x[k]);
-    for (int k = 0; k < 4; ++k) {
+    for (int k = 0; k < 2 * kFitPowers - 1; ++k) store(sums->x[k] + lane, of_x[k]);
+    for (int k = 0; k < kFitPowers; ++k) {
       store(sums->x_gain[k] + lane, of_x_gain[k]);
       store(sums->x_error[k] + lane, of_x_error[k]);
     }
@@ -124,16 +108,9 @@ void costs(const FitSpectra& spectra, const FitPoint* points, const float* chang
   }
 }
 
-void halve(const std::uint8_t* upper, const std::uint8_t* lower, int count, std::uint8_t* __restrict to) {
-  for (int x = 0; x < count; ++x) {
-    const int sum = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
-    to[x] = static_cast<std::uint8_t>((sum + 2) >> 2);
-  }
-}
-
 }  // namespace
 
 extern const RatioSimd kRatioSimd;
-const RatioSimd kRatioSimd = {GYRO_DEBLUR_ISA_NAME, apply, evaluate, costs, halve};
+const RatioSimd kRatioSimd = {GYRO_DEBLUR_ISA_NAME, apply, evaluate, costs};
 
 }  // namespace gyro_deblur::GYRO_DEBLUR_ISA

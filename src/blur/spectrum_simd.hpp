@@ -66,6 +66,9 @@ struct SpectrumSimd {
   /// smallest; outside [0, width) pixels are replicated.
   void (*clip_outliers)(const std::uint8_t* above, const std::uint8_t* row, const std::uint8_t* below, int width,
                         int margin, std::uint8_t* out);
+  /// Rounded means of 2 x 2 px.
+  /// @param count  of means
+  void (*halve)(const std::uint8_t* upper, const std::uint8_t* lower, int count, std::uint8_t* out);
   /// Power [grey levels^2] at each frequency of a window: of white noise its variance.
   /// @param stride  between rows
   void (*power_spectrum)(const SpectrumTables& tables, const std::uint8_t* window, std::ptrdiff_t stride, float* power);

@@ -2,7 +2,7 @@
 // base/vectors_impl.hpp).
 #include <math.h>
 
-#include "base/vectors_impl.hpp"
+#include "base/logarithms_impl.hpp"
 #include "blur/spectrum_simd.hpp"
 
 namespace gyro_deblur::GYRO_DEBLUR_ISA {
@@ -207,16 +207,6 @@ struct Product {
   }
 };
 
-/// exp(v) within 5e-5 of it, relatively, for |v| <= 80.
-inline Vector exp_of(Vector v) {
-  const Vector binary = v * static_cast<float>(M_LOG2E);
-  const IntVector whole = __builtin_convertvector(binary + (binary < 0 ? Vector{} - 0.5f : Vector{} + 0.5f), IntVector);
-  const Vector rest = (binary - __builtin_convertvector(whole, Vector)) * static_cast<float>(M_LN2);
-  const Vector of_rest = 1 + rest * (1 + rest * (1 / 2.0f + rest * (1 / 6.0f + rest * (1 / 24.0f))));
-  const IntVector bits = (whole + 127) << 23;
-  return of_rest * load_as<Vector>(&bits);
-}
-
 /// One value for each sector, summed over its places.
 struct OfSectors {
   static constexpr int kParts = kLanes < kSpectrumSectors ? kSpectrumSectors / kLanes : 1;
@@ -346,10 +336,17 @@ double least_cost(const SpectrumOrder& order, const float* power, const float* m
   return cost_of(order, power, model, *fit);
 }
 
+void halve(const std::uint8_t* upper, const std::uint8_t* lower, int count, std::uint8_t* __restrict out) {
+  for (int x = 0; x < count; ++x) {
+    const int sum = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
+    out[x] = static_cast<std::uint8_t>((sum + 2) >> 2);
+  }
+}
+
 }  // namespace
 
 extern const SpectrumSimd kSpectrumSimd;
-const SpectrumSimd kSpectrumSimd = {GYRO_DEBLUR_ISA_NAME, clip_outliers,      power_spectrum,
+const SpectrumSimd kSpectrumSimd = {GYRO_DEBLUR_ISA_NAME, clip_outliers,      halve,     power_spectrum,
                                     multiply_gain,        multiply_path_gain, least_cost};
 
 }  // namespace gyro_deblur::GYRO_DEBLUR_ISA

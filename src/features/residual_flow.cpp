@@ -54,7 +54,7 @@ std::uint64_t distance_key(float distance_px2, std::size_t index) {
   return std::uint64_t{bits} << 32 | index;
 }
 
-/// The corners nearest to places of which each is near the one before.
+/// Finds the corners nearest to one place after another, faster where each place is near the one before.
 class NearestCorners {
  public:
   /// @param corners  at least kCornersOfPlane, with places in the image
@@ -62,7 +62,7 @@ class NearestCorners {
 
   /// The kCornersOfPlane nearest, by distance_key(), the last one the farthest.
   const std::uint64_t* nearest_to(const Eigen::Vector2f& place_px) {
-    // No farther than those of the place before, of which as many are here.
+    // The nearest corners of the place before are within this distance, so that there are enough.
     constexpr float kRounding = 1.001f;
     const float within_px = kRounding * (reach_px_ + (place_px - place_px_).norm());
     std::size_t count = 0;

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <random>
 #include <vector>
 
@@ -142,21 +141,6 @@ TEST_P(RatioSimdTest, SumsCosts) {
       cost += stddevs > 2.5 ? 2.5 * (stddevs - 1.25) : 0.5 * stddevs * stddevs;
     }
     EXPECT_NEAR(costs[lane], cost, 1e-5 * cost);
-  }
-}
-
-TEST_P(RatioSimdTest, HalvesRows) {
-  std::mt19937 random(9);
-  for (const int count : {1, 15, 16, 67, 200}) {
-    std::vector<std::uint8_t> upper(2 * count), lower(2 * count), half(count);
-    for (auto* row : {&upper, &lower}) {
-      std::generate(row->begin(), row->end(), [&random] { return static_cast<std::uint8_t>(random() % 256); });
-    }
-    simd_->halve(upper.data(), lower.data(), count, half.data());
-    for (int x = 0; x < count; ++x) {
-      const int sum = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
-      EXPECT_EQ(half[x], (sum + 2) / 4) << x << " of " << count;
-    }
   }
 }
 

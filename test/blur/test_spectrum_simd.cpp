@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <complex>
+#include <cstdint>
 #include <random>
 #include <set>
 #include <utility>
@@ -50,6 +51,21 @@ TEST_P(SpectrumSimdTest, ClipOutliers) {
         const int top = std::min(around[6] + margin, 255), bottom = std::max(around[1] - margin, 0);
         ASSERT_EQ(out[x], std::max(std::min<int>(rows[1][x], top), bottom)) << x << " of " << width;
       }
+    }
+  }
+}
+
+TEST_P(SpectrumSimdTest, HalvesRows) {
+  std::mt19937 random(9);
+  for (const int count : {1, 15, 16, 67, 200}) {
+    std::vector<std::uint8_t> upper(2 * count), lower(2 * count), half(count);
+    for (auto* row : {&upper, &lower}) {
+      std::generate(row->begin(), row->end(), [&random] { return static_cast<std::uint8_t>(random() % 256); });
+    }
+    simd_->halve(upper.data(), lower.data(), count, half.data());
+    for (int x = 0; x < count; ++x) {
+      const int sum = upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1];
+      EXPECT_EQ(half[x], (sum + 2) / 4) << x << " of " << count;
     }
   }
 }
