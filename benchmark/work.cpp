@@ -13,8 +13,8 @@
 namespace gyro_deblur::benchmark {
 namespace {
 
-// As in src/engine/cpu/two_scale_impl.hpp: coarse outputs that are summed together, and columns in a group of int16
-// samples.
+// As in two_scale_layout_impl.hpp and two_scale_impl.hpp: coarse outputs that are summed together, and columns in a
+// group of int16 samples.
 constexpr int kCoarseOutputs = kCoarseGuard + 1;
 constexpr int kColumnGroup = 32;
 // Instruction sets with vectors of at least so many floats filter 8-bit columns in int16.

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 namespace gyro_deblur {
@@ -23,20 +24,28 @@ double texture_along_line(const cv::Mat& luminance, const cv::Rect& block, doubl
   // do.
   const int cols = block.width / 2;
   std::int64_t uu = 0, vv = 0, uv = 0, count = 0;
-  thread_local std::vector<int> upper, lower;  // sums of 2 x 2 px
+  // Sums of 2 x 2 px. In 16 bits compilers multiply and add eight at a time.
+  thread_local std::vector<std::int16_t> upper, lower;
   upper.resize(std::max(cols, 0));
   lower.resize(upper.size());
-  const auto sum_rows = [&](int y, std::vector<int>& sums) {
+  const auto sum_rows = [&](int y, std::int16_t* sums) {
     const std::uint8_t *a = luminance.ptr<std::uint8_t>(y) + block.x, *b = luminance.ptr<std::uint8_t>(y + 1) + block.x;
-    for (int x = 0; x < cols; ++x) sums[x] = a[2 * x] + a[2 * x + 1] + b[2 * x] + b[2 * x + 1];
+    for (int x = 0; x < cols; ++x) {
+      std::uint16_t pair_a, pair_b;
+      std::memcpy(&pair_a, a + 2 * x, sizeof pair_a);
+      std::memcpy(&pair_b, b + 2 * x, sizeof pair_b);
+      sums[x] = static_cast<std::int16_t>((pair_a & 0xff) + (pair_a >> 8) + (pair_b & 0xff) + (pair_b >> 8));
+    }
   };
+  std::int16_t *above = upper.data(), *below = lower.data();
   constexpr int kRows = 4;
   for (int y = block.y; y + kRows <= block.y + block.height; y += kRows) {
-    sum_rows(y, upper);
-    sum_rows(y + 2, lower);
+    sum_rows(y, above);
+    sum_rows(y + 2, below);
     int row_uu = 0, row_vv = 0, row_uv = 0;
     for (int x = 0; x + 1 < cols; ++x) {
-      const int u = lower[x + 1] - upper[x], v = upper[x + 1] - lower[x];
+      const auto u = static_cast<std::int16_t>(below[x + 1] - above[x]);
+      const auto v = static_cast<std::int16_t>(above[x + 1] - below[x]);
       row_uu += u * u;
       row_vv += v * v;
       row_uv += u * v;

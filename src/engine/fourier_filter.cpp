@@ -335,41 +335,43 @@ template <typename Pixel>
 void FourierFilter::write_block(int block, const FilterGrid& grid, SeamBlender& seams, Scratch& scratch,
                                 cv::Mat& dst) const {
   const int channels = dst.channels();
-  for (const SeamBlender::Part<Pixel>& piece : seams.parts<Pixel>(block, dst)) {
-    const cv::Rect& rect = piece.rect;
-    if (rect.empty()) continue;
-    const std::size_t area = static_cast<std::size_t>(rect.area());
-    Part(&parts)[LEVELS] = scratch.parts;
-    for (const int level : {WHOLE, HALF}) find_part(level, grid, block, rect, parts[level]);
-    const bool is_mixed = !parts[WHOLE].cells.empty() && !parts[HALF].cells.empty();
-    const int first = parts[WHOLE].cells.empty() ? HALF : WHOLE;
-    // Weights of all cells at one size sum up to 1.
-    const bool has_weights = is_mixed || !parts[first].has_all;
+  const cv::Rect reach = seams.reach(block);
+  const std::size_t area = static_cast<std::size_t>(reach.area());
+  Part(&parts)[LEVELS] = scratch.parts;
+  for (const int level : {WHOLE, HALF}) find_part(level, grid, block, reach, parts[level]);
+  const bool is_mixed = !parts[WHOLE].cells.empty() && !parts[HALF].cells.empty();
+  const int first = parts[WHOLE].cells.empty() ? HALF : WHOLE;
+  // Weights of all cells at one size sum up to 1.
+  const bool has_weights = is_mixed || !parts[first].has_all;
+  for (const int level : {WHOLE, HALF}) {
+    if (has_weights && !parts[level].cells.empty()) {
+      overlap_add(level, parts[level], reach, {}, scratch, scratch.weights[level]);
+    }
+  }
+  for (int channel = 0; channel < channels; ++channel) {
     for (const int level : {WHOLE, HALF}) {
-      if (has_weights && !parts[level].cells.empty()) {
-        overlap_add(level, parts[level], rect, {}, scratch, scratch.weights[level]);
+      if (!parts[level].cells.empty()) {
+        overlap_add(level, parts[level], reach, channel, scratch, scratch.values[level]);
       }
     }
-    for (int channel = 0; channel < channels; ++channel) {
-      for (const int level : {WHOLE, HALF}) {
-        if (!parts[level].cells.empty()) {
-          overlap_add(level, parts[level], rect, channel, scratch, scratch.values[level]);
-        }
-      }
-      float* values = scratch.values[first].data();
-      const float* weights = scratch.weights[first].data();
-      if (is_mixed) {
-        const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
-        tile_simd_.mix_sizes(halves, weights_of_halves, weights, rect.area(), values);
-      } else if (has_weights) {
+    float* values = scratch.values[first].data();
+    const float* weights = scratch.weights[first].data();
+    if (is_mixed) {
+      const float *halves = scratch.values[HALF].data(), *weights_of_halves = scratch.weights[HALF].data();
+      tile_simd_.mix_sizes(halves, weights_of_halves, weights, reach.area(), values);
+    } else if (has_weights) {
 #pragma omp simd
-        for (std::size_t i = 0; i < area; ++i) values[i] /= weights[i];
-      }
+      for (std::size_t i = 0; i < area; ++i) values[i] /= weights[i];
+    }
+    for (const SeamBlender::Part<Pixel>& piece : seams.parts<Pixel>(block, dst)) {
+      const cv::Rect& rect = piece.rect;
+      if (rect.empty()) continue;
+      const float* from = values + static_cast<std::ptrdiff_t>(rect.y - reach.y) * reach.width + rect.x - reach.x;
       Pixel* to = piece.to + channel;
       if constexpr (sizeof(Pixel) == 1) {
-        tile_simd_.store_bytes(values, rect.width, rect.height, channels, to, piece.stride);
+        tile_simd_.store_bytes(from, reach.width, rect.width, rect.height, channels, to, piece.stride);
       } else {
-        tile_simd_.store_words(values, rect.width, rect.height, channels, to, piece.stride);
+        tile_simd_.store_words(from, reach.width, rect.width, rect.height, channels, to, piece.stride);
       }
     }
   }

@@ -64,7 +64,7 @@ class FourierFilter {
     std::vector<cv::Mat> images;  ///< by channel
   };
   enum { WHOLE, HALF, LEVELS };
-  /// What a level has for a piece of a block.
+  /// What a level has for what is computed of a block.
   struct Part {
     cv::Rect pixels;         ///< of its image
     std::vector<int> cells;  ///< whose windows reach into these
@@ -97,7 +97,7 @@ class FourierFilter {
   void filter_as(const cv::Mat& src, const FilterGrid& grid, const std::vector<int>& blocks, int threads,
                  SeamBlender& seams, cv::Mat& dst);
   void find_part(int level, const FilterGrid& grid, int block, const cv::Rect& rect, Part& part) const;
-  /// Sums of what a part's cells have in `rect` of a piece of a block: results, or, without a channel, weights.
+  /// Sums of what a part's cells have in `rect`, what is computed of a block: results, or, without a channel, weights.
   void overlap_add(int level, const Part& part, const cv::Rect& rect, std::optional<int> channel, Scratch& scratch,
                    std::vector<float>& sums) const;
   /// Rounds what is computed of a block.

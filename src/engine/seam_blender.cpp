@@ -135,23 +135,24 @@ void SeamBlender::plan(const FilterGrid& grid, int type) {
   std::size_t total = 0;
   for (int block = 0; block < cols * rows; ++block) {
     const int col = block % cols, row = block / cols;
-    places_.push_back(
-        {grid.rect(block), {margin_x_[col], margin_y_[row], margin_x_[col + 1], margin_y_[row + 1]}, total});
+    places_.push_back({grid.rect(block), {margin_x_[col], margin_y_[row], margin_x_[col + 1], margin_y_[row + 1]}, {}});
     if (is_copied(block)) continue;
-    std::size_t pixels = 0;
-    for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) pixels += strip_rect(block, strip).area();
-    total += (pixels * pixel_bytes + kCacheLineBytes - 1) / kCacheLineBytes * kCacheLineBytes;
+    for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) {
+      places_.back().offsets[strip] = total;
+      total += strip_rect(block, strip).area() * pixel_bytes;
+    }
+    total = (total + kCacheLineBytes - 1) / kCacheLineBytes * kCacheLineBytes;
   }
   if (results_.size() < total) results_.resize(total);
 }
 
 cv::Rect SeamBlender::reach(int block) const {
-  const auto& [rect, m, offset] = places_[block];
+  const auto& [rect, m, offsets] = places_[block];
   return {rect.x - m.left, rect.y - m.top, rect.width + m.left + m.right, rect.height + m.top + m.bottom};
 }
 
 cv::Rect SeamBlender::strip_rect(int block, Strip strip) const {
-  const auto& [rect, m, offset] = places_[block];
+  const auto& [rect, m, offsets] = places_[block];
   const cv::Rect whole = reach(block);
   // The upper and the lower strip have the corners.
   const int inner_y = rect.y + m.top, inner_height = rect.height - m.top - m.bottom;
@@ -169,16 +170,15 @@ cv::Rect SeamBlender::strip_rect(int block, Strip strip) const {
 
 template <typename Pixel>
 std::array<SeamBlender::Part<Pixel>, 5> SeamBlender::parts(int block, cv::Mat& dst) {
-  const auto& [rect, m, offset] = places_[block];
+  const auto& [rect, m, offsets] = places_[block];
   const cv::Rect inner(rect.x + m.left, rect.y + m.top, rect.width - m.left - m.right, rect.height - m.top - m.bottom);
   std::array<Part<Pixel>, 5> parts;
   parts[0] = {inner, inner.empty() ? nullptr : dst.ptr<Pixel>(inner.y, inner.x),
               static_cast<std::ptrdiff_t>(dst.step1())};
-  Pixel* to = reinterpret_cast<Pixel*>(results_.data() + offset);
   for (const Strip strip : {TOP, BOTTOM, LEFT, RIGHT}) {
     const cv::Rect of_strip = strip_rect(block, strip);
-    parts[1 + strip] = {of_strip, to, static_cast<std::ptrdiff_t>(of_strip.width) * channels_};
-    to += static_cast<std::ptrdiff_t>(of_strip.area()) * channels_;
+    parts[1 + strip] = {of_strip, reinterpret_cast<Pixel*>(results_.data() + offsets[strip]),
+                        static_cast<std::ptrdiff_t>(of_strip.width) * channels_};
   }
   return parts;
 }
@@ -210,10 +210,7 @@ void SeamBlender::store(int block, const cv::Mat& result, cv::Mat& dst, int chan
 template <typename Pixel>
 SeamBlender::View<Pixel> SeamBlender::view(int block, Strip strip, int x, int y, const cv::Mat& src) const {
   if (is_copied(block)) return {src.ptr<Pixel>(y, x), static_cast<std::ptrdiff_t>(src.step1())};
-  const Pixel* from = reinterpret_cast<const Pixel*>(results_.data() + places_[block].offset);
-  for (const Strip before : {TOP, BOTTOM, LEFT}) {
-    if (before < strip) from += static_cast<std::ptrdiff_t>(strip_rect(block, before).area()) * channels_;
-  }
+  const Pixel* from = reinterpret_cast<const Pixel*>(results_.data() + places_[block].offsets[strip]);
   const cv::Rect rect = strip_rect(block, strip);
   const std::ptrdiff_t stride = static_cast<std::ptrdiff_t>(rect.width) * channels_;
   return {from + (y - rect.y) * stride + static_cast<std::ptrdiff_t>(x - rect.x) * channels_, stride};
@@ -246,7 +243,7 @@ void SeamBlender::blend_below(int block, const cv::Mat& src, cv::Mat& dst) const
   const int below = block + grid_->cols();
   const bool upper_copied = is_copied(block), lower_copied = is_copied(below);
   if (upper_copied && lower_copied) return;
-  const auto& [rect, m, offset] = places_[block];
+  const auto& [rect, m, offsets] = places_[block];
   const int x = rect.x + m.left, count = (rect.width - m.left - m.right) * channels_;
   const int y0 = rect.br().y - m.bottom;
   const View<Pixel> upper = view<Pixel>(block, BOTTOM, x, y0, src), lower = view<Pixel>(below, TOP, x, y0, src);
@@ -299,7 +296,7 @@ void SeamBlender::fade(int block, const cv::Mat& src, cv::Mat& dst) const {
     const bool inside = col + dx >= 0 && col + dx < cols && row + dy >= 0 && row + dy < grid_->rows();
     return inside && is_copied(block + dy * cols + dx);
   };
-  const auto& [rect, m, offset] = places_[block];
+  const auto& [rect, m, offsets] = places_[block];
   // Begin and end of the parts before, between and behind the margins.
   const int xs[] = {rect.x, rect.x + m.left, rect.br().x - m.right, rect.br().x};
   const int ys[] = {rect.y, rect.y + m.top, rect.br().y - m.bottom, rect.br().y};

@@ -73,7 +73,7 @@ class SeamBlender {
   struct Place {
     cv::Rect rect;
     Margins margins;
-    std::size_t offset;  ///< in results_ [bytes]
+    std::array<std::size_t, 4> offsets;  ///< of its strips in results_ [bytes]
   };
 
   bool is_copied(int block) const { return grid_->blocks[block].copies(); }

@@ -44,8 +44,10 @@ struct TileSimd {
   void (*mix_sizes)(const float* halves, const float* weights_of_halves, const float* weights, int count,
                     float* values);
   /// Rounds rows of `width` values to pixels, clipped to their type; NaN becomes 0. Pixels are `step` apart in a row.
-  void (*store_bytes)(const float* from, int width, int height, int step, std::uint8_t* to, std::ptrdiff_t to_stride);
-  void (*store_words)(const float* from, int width, int height, int step, std::uint16_t* to, std::ptrdiff_t to_stride);
+  void (*store_bytes)(const float* from, std::ptrdiff_t from_stride, int width, int height, int step, std::uint8_t* to,
+                      std::ptrdiff_t to_stride);
+  void (*store_words)(const float* from, std::ptrdiff_t from_stride, int width, int height, int step, std::uint16_t* to,
+                      std::ptrdiff_t to_stride);
 };
 
 GYRO_DEBLUR_SIMD_KERNELS(TileSimd)

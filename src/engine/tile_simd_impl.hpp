@@ -140,9 +140,18 @@ void mix_sizes(const float* halves, const float* weights_of_halves, const float*
   }
 }
 
+/// Copies fewer than kLanes elements without a call: most often a multiple of 4.
+template <typename T>
+inline void copy_few(const T* from, int count, T* to) {
+  int i = 0;
+  for (; i + 4 <= count; i += 4) std::memcpy(to + i, from + i, 4 * sizeof(T));
+  for (; i < count; ++i) to[i] = from[i];
+}
+
 template <typename Pixel>
-void store_rows(const float* from, int width, int height, int step, Pixel* to, std::ptrdiff_t to_stride) {
-  for (int y = 0; y < height; ++y, from += width, to += to_stride) {
+void store_rows(const float* from, std::ptrdiff_t from_stride, int width, int height, int step, Pixel* to,
+                std::ptrdiff_t to_stride) {
+  for (int y = 0; y < height; ++y, from += from_stride, to += to_stride) {
     for (int x = 0; x < width; x += kLanes) {
       const int count = width - x < kLanes ? width - x : kLanes;
       if (count == kLanes && step == 1) {
@@ -151,9 +160,13 @@ void store_rows(const float* from, int width, int height, int step, Pixel* to, s
       }
       float values[kLanes] = {};
       Pixel pixels[kLanes];
-      std::memcpy(values, from + x, sizeof(float) * count);
+      copy_few(from + x, count, values);
       store_pixels(pixels, load(values));
-      for (int i = 0; i < count; ++i) to[(x + i) * step] = pixels[i];
+      if (step == 1) {
+        copy_few(pixels, count, to + x);
+      } else {
+        for (int i = 0; i < count; ++i) to[(x + i) * step] = pixels[i];
+      }
     }
   }
 }

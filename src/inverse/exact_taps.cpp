@@ -44,12 +44,6 @@ void make_exact_taps(const LineKernel& kernel, const LineDirection& direction, b
   // Rounding errors are passed on along the line, which is blurred in that direction and hardly sees their alternation:
   // that of a step's sum, and that of how it is shared between two neighbours.
   double sum_error = 0, share_error = 0;
-  const auto round_with = [](double value, double& error) {
-    value += error;
-    const std::int32_t rounded = round_to_int(value);
-    error = value - rounded;
-    return rounded;
-  };
   PairTap* pair = exact.pairs.data();
   int m = exact.line.first_m - 1;
   for (const StepTaps& step : steps) {
@@ -59,8 +53,8 @@ void make_exact_taps(const LineKernel& kernel, const LineDirection& direction, b
     const bool has_lower = step.lower != 0, has_upper = step.upper != 0;
     const double low = (has_upper ? step.upper : step.lower) * unit;
     const double high = has_upper ? step.lower * unit : 0.0;
-    const std::int32_t both = round_with(low + high, sum_error);
-    const std::int32_t fixed_low = has_lower && has_upper ? round_with(low, share_error) : both;
+    const std::int32_t both = round_with_error(low + high, sum_error);
+    const std::int32_t fixed_low = has_lower && has_upper ? round_with_error(low, share_error) : both;
     const int n = -step.across - (has_upper ? 1 : 0);
     *pair++ = {-m, n, pack_int16(fixed_low, both - fixed_low)};
     filter.radius_m = std::max(filter.radius_m, std::abs(m));

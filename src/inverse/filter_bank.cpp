@@ -16,6 +16,9 @@
 namespace gyro_deblur {
 namespace {
 
+// Of FilterBank's extents, from 0 on.
+constexpr int kExtentSteps = static_cast<int>(kMaxKernelExtentPx / FilterBank::kExtentStepPx) + 1;
+
 /// The least odd number of taps that is not below `value`, rounded up.
 int next_odd(double value) { return static_cast<int>(std::ceil(value)) | 1; }
 
@@ -212,7 +215,9 @@ LineKernel wiener_kernel(const Path1d& path_px, const FilterOptions& options) {
 }
 
 FilterBank::FilterBank(const FilterOptions& options)
-    : options_(validated(options)), errors_(options_.noise_to_signal_ratio) {}
+    : options_(validated(options)),
+      errors_(options_.noise_to_signal_ratio),
+      made_(static_cast<std::size_t>(kExtentSteps) * (max_doublings() + 1)) {}
 
 FilterOptions with_doubled_ratio(FilterOptions options, int doublings) {
   options.noise_to_signal_ratio =
@@ -223,9 +228,20 @@ FilterOptions with_doubled_ratio(FilterOptions options, int doublings) {
 const LineKernel& FilterBank::kernel(double extent_px, int ratio_doublings) const {
   require_range("extent", extent_px, kMinKernelExtentPx, kMaxKernelExtentPx, "px");
   const int step = static_cast<int>(std::lround(extent_px / kExtentStepPx));
-  return kernels_.get({step, ratio_doublings}, [&] {
-    return wiener_kernel(step * kExtentStepPx, with_doubled_ratio(options_, ratio_doublings));
-  });
+  const auto find_or_make = [&]() -> const LineKernel& {
+    return kernels_.get({step, ratio_doublings}, [&] {
+      return wiener_kernel(step * kExtentStepPx, with_doubled_ratio(options_, ratio_doublings));
+    });
+  };
+  // More doublings make the same kernel.
+  if (ratio_doublings > max_doublings()) return find_or_make();
+  std::atomic<const LineKernel*>& place = made_[static_cast<std::size_t>(ratio_doublings) * kExtentSteps + step];
+  const LineKernel* kernel = place.load(std::memory_order_acquire);
+  if (kernel == nullptr) {
+    kernel = &find_or_make();
+    place.store(kernel, std::memory_order_release);
+  }
+  return *kernel;
 }
 
 }  // namespace gyro_deblur

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <cstddef>
 #include <utility>
 #include <vector>
@@ -83,6 +84,9 @@ class FilterBank {
   // By extent / kExtentStepPx, and how often the noise-to-signal ratio is doubled.
   mutable OnceMap<std::pair<int, int>, LineKernel> kernels_;
   ExpectedErrors errors_;
+  // Those of kernels_ by extent, for each number of doublings up to max_doublings(), once they were asked for: every
+  // block of every frame asks, and need not search or lock for it.
+  mutable std::vector<std::atomic<const LineKernel*>> made_;
 };
 
 }  // namespace gyro_deblur

@@ -139,6 +139,17 @@ int period_for(int reach, int d) {
   return period;
 }
 
+/// In four parts, which need not wait for each other.
+double sum_of(const float* values, int count) {
+  double sums[4] = {};
+  int i = 0;
+  for (; i + 4 <= count; i += 4) {
+    for (int k = 0; k < 4; ++k) sums[k] += values[i + k];
+  }
+  for (; i < count; ++i) sums[0] += values[i];
+  return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}
+
 /// normal * map = taps, and sums' map = the taps' own sums. Unknowns are the weights of nodes 0 .. radius, of the inner
 /// and of the outer box; a column of `taps` for each tap 0 .. reach.
 struct NormalEquations {
@@ -213,8 +224,7 @@ void TwoScaleDesign::fit(const float* kernel, int count, const TapSimd& simd, Tw
     simd.combine_columns(map_.data() + static_cast<std::size_t>(group) * (reach() + 1) * kRowGroup, kernel, count + 1,
                          sums + group * kRowGroup);
   }
-  double missing = -kernel[0];
-  for (int m = 0; m <= count; ++m) missing += 2.0 * kernel[m];
+  double missing = 2 * sum_of(kernel, count + 1) - kernel[0];
   weights.inner_box = sums[radius_ + 1];
   weights.outer_box = sums[radius_ + 2];
   weights.coarse.resize(radius_ + 1);

@@ -37,10 +37,8 @@ void fix_coarse_weights(TwoScaleTaps& taps) {
   double error_before = 0, error_after = 0, wanted = 0;
   for (int k = radius; k > 0; --k) {
     const double before = weights[-k] * unit, after = weights[k] * unit;
-    fixed[-k] = round_to_int(before + error_before);
-    fixed[k] = round_to_int(after + error_after);
-    error_before += before - fixed[-k];
-    error_after += after - fixed[k];
+    fixed[-k] = round_with_error(before, error_before);
+    fixed[k] = round_with_error(after, error_after);
     wanted += before + after;
   }
   const double middle = weights[0] * unit;

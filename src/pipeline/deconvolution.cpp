@@ -74,6 +74,7 @@ FilterGrid make_filters(const FrameBlur& field, double scale, const FilterBank& 
       made.owned[i] = kernel;
     } else if (extent_px >= kMinKernelExtentPx) {
       filter.kernel = &bank.kernel(extent_px, doublings);
+      __builtin_prefetch(filter.kernel);  // engines read it after all blocks have theirs
     }
   });
   return made;

@@ -166,11 +166,13 @@ TEST_P(TileSimdTest, RoundAndClip) {
         {1e30f, top}, {infinity, top}, {-1e30f, 0}, {top - 1, top - 1}, {std::numeric_limits<float>::quiet_NaN(), 0}};
     for (const int width : {1, 7, 16, 37, 64}) {
       for (const int step : {1, 3}) {
-        const int height = 3, stride = width * step + 2;
-        std::vector<float> from(width * height);
-        for (int i = 0; i < width * height; ++i) from[i] = values[i % values.size()].first;
+        const int height = 3, stride = width * step + 2, from_stride = width + 5;
+        std::vector<float> from(from_stride * height, 33);
+        for (int i = 0; i < width * height; ++i) {
+          from[i / width * from_stride + i % width] = values[i % values.size()].first;
+        }
         std::vector<Pixel> to(stride * height, 77);
-        store(from.data(), width, height, step, to.data(), stride);
+        store(from.data(), from_stride, width, height, step, to.data(), stride);
         for (int y = 0; y < height; ++y) {
           for (int i = 0; i < stride; ++i) {
             const bool is_written = i % step == 0 && i < width * step;
