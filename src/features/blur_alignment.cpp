@@ -113,6 +113,11 @@ BlurredPoint at_half_size(BlurredPoint point) {
   return point;
 }
 
+LocalMap at_half_size(LocalMap map) {
+  map.bend *= 2;  // half of what offsets twice as long are moved by
+  return map;
+}
+
 Alignment at_whole_size(Alignment found) {
   found.place_px = 2 * found.place_px + Eigen::Vector2d::Constant(0.5);
   found.covariance_px2 *= 4;
@@ -224,7 +229,8 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
   return false;
 }
 
-void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) {
+void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
+                                  const LocalMap::Bend& bend) {
   constexpr int kMargin = kTemplateMargin;
   const int width = compared_columns(), height = compared_rows();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
@@ -241,7 +247,14 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     patch->resize(width, height);
     patch->clear_room();
   }
-  const float* middle = sampled_.row(kMargin) + kMargin;
+  float* middle = sampled_.row(kMargin) + kMargin;
+  simd_.differentiate(middle, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(), width,
+                      height);
+  const LocalMap::Bend per_compared = px_per_compared().inverse() * bend_after(bend, px_per_compared());
+  simd_.bend(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(), per_compared.cast<float>().eval().data(),
+             -static_cast<float>(window_.first_x) / static_cast<float>(spacing_[0]),
+             -static_cast<float>(window_.first_y) / static_cast<float>(spacing_[1]), middle, sampled_.stride(), width,
+             height);
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
   const float offset = *middle;
   std::array<float, 3> sums;  // the first is used
@@ -249,8 +262,6 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
   const float mean = sums[0] / static_cast<float>(template_.size());
   simd_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset - mean, template_.row(0),
                 template_.stride(), width, height);
-  simd_.differentiate(sampled_.row(kMargin) + kMargin, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0),
-                      gradient_x_.stride(), width, height);
 }
 
 void BlurAligner::sort_columns() {
@@ -391,12 +402,14 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const Path2d& path_px) {
 }
 
 std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
-                                            const BlurredPoint& in_to, const Eigen::Matrix2d& map,
+                                            const BlurredPoint& in_to, const LocalMap& map,
                                             const AlignmentOptions& options) {
   constexpr double kLeastDeterminant = 0.1;  // a tenth of the area: nothing that is followed shrinks so
-  if (!(map.determinant() > kLeastDeterminant)) return std::nullopt;
-  const Eigen::Matrix2d inverse_map = map.inverse();
-  const Path2d blur_of_second_px = mapped(in_from.path_px, map), blur_of_first_px = mapped(in_to.path_px, inverse_map);
+  if (!(map.jacobian.determinant() > kLeastDeterminant)) return std::nullopt;
+  const Eigen::Matrix2d inverse_map = map.jacobian.inverse();
+  // Not bent: on average over a window full of texture this leaves the least bias (doc/design/tracks.md).
+  const Path2d blur_of_second_px = mapped(in_from.path_px, map.jacobian),
+               blur_of_first_px = mapped(in_to.path_px, inverse_map);
   if (!can_be_aligned(in_from.place_px, blur_of_first_px, from.size()) ||
       !can_be_aligned(in_to.place_px, blur_of_second_px, to.size())) {
     return std::nullopt;
@@ -408,7 +421,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
     return std::nullopt;
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
-  sample_template(in_from.place_px, inverse_map);
+  sample_template(in_from.place_px, inverse_map, bend_after(map.bend, inverse_map));
   const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, blur_of_first_px),
                pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
   const Eigen::Matrix2d gradients = gradients_without_gain(pattern);
@@ -433,11 +446,11 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
                    psf_of_second_.energy * interpolated_share(result.place_px, blur_of_second_px) - of_second.mean;
   result.expected_residual =
       std::sqrt(first_variance * std::max(0.0, first_left) + second_variance * std::max(0.0, second_left));
-  const Eigen::Matrix2d inverse = px_per_compared() * products_of_both.inverse();
+  const Eigen::Matrix2d px_per_product = px_per_compared() * products_of_both.inverse();
   const Eigen::Matrix2d products = first_variance * of_first.products + second_variance * of_second.products;
   const double excess = result.expected_residual > 0 ? result.residual / result.expected_residual : 1;
-  result.covariance_px2 =
-      inverse * products * inverse.transpose() * std::max(1.0, excess * excess) / (result.gain * result.gain);
+  result.covariance_px2 = px_per_product * products * px_per_product.transpose() * std::max(1.0, excess * excess) /
+                          (result.gain * result.gain);
   return result;
 }
 

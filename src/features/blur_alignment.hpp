@@ -11,6 +11,7 @@
 
 #include "blur/path_2d.hpp"
 #include "features/alignment_simd.hpp"
+#include "features/local_map.hpp"
 #include "features/path_psf.hpp"
 
 namespace gyro_deblur {
@@ -51,6 +52,8 @@ struct Alignment {
 
 /// The same point in the image at half the size, whose pixels are means of 2 x 2: the noise of a pixel is white.
 BlurredPoint at_half_size(BlurredPoint point);
+/// The same map between images at half the size.
+LocalMap at_half_size(LocalMap map);
 /// What was found at half the size, in pixels of the whole.
 Alignment at_whole_size(Alignment found);
 
@@ -65,14 +68,13 @@ bool agrees(const Alignment& alignment);
 class BlurAligner {
  public:
   /// @param from, to  CV_8UC1, raw: neither deblurred nor equalised
-  /// @param map       Jacobian of the motion from `from` to `to` at the point
+  /// @param map       of the neighbourhood of the point from `from` to `to`
   /// @param in_to     place_px: start of the search
   /// @return nothing where the search ends outside the images or max_offset_px, does not converge, or where the blurred
   ///         template has no texture in one direction. A window that is cut by the image's edge, blur included, is
   ///         compared where it is complete, down to 40 % of it.
   std::optional<Alignment> align(const cv::Mat& from, const BlurredPoint& in_from, const cv::Mat& to,
-                                 const BlurredPoint& in_to, const Eigen::Matrix2d& map,
-                                 const AlignmentOptions& options);
+                                 const BlurredPoint& in_to, const LocalMap& map, const AlignmentOptions& options);
 
  private:
   /// Pixels with room behind each row (alignment_simd.hpp).
@@ -113,7 +115,8 @@ class BlurAligner {
   PixelBox template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const;
   PixelBox search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
-  void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map);
+  /// @param bend  of the map, by offsets in the second image
+  void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map, const LocalMap::Bend& bend);
   /// Sum of the squares of template_ without those of its noise, which bias a gain by them towards 0.
   double pattern_energy(double noise_variance);
   /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.

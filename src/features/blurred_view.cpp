@@ -58,6 +58,20 @@ Eigen::Matrix2d with_row_times(const Eigen::Matrix2d& map, const Eigen::Vector3d
   return left.inverse() * right;
 }
 
+/// By the rotation between the instants at which the two images show the point.
+LocalMap::Bend bend_of(const RotatedPixel& rotated, const Eigen::Vector2d& place_px, const NearbyRays& rays) {
+  constexpr double h = 10;  // half of how far the compared patch reaches
+  const auto away_px = [&](double x, double y) -> Eigen::Vector2d {
+    const Eigen::Vector3d ray = rays.ray(place_px + Eigen::Vector2d(x, y));
+    return rays.camera().project(rotated.rotation * ray) - rotated.pixel_px;
+  };
+  LocalMap::Bend bend;
+  bend.col(0) = (away_px(h, 0) + away_px(-h, 0)) / (2 * h * h);
+  bend.col(2) = (away_px(0, h) + away_px(0, -h)) / (2 * h * h);
+  bend.col(1) = (away_px(h, h) + away_px(-h, -h)) / (2 * h * h) - bend.col(0) - bend.col(2);
+  return bend.allFinite() ? bend : LocalMap::Bend::Zero();
+}
+
 /// Where a point is by the rotation alone, and the Jacobian of that; where it was if the rotation is not known.
 PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& rays, const RowExposure& from,
                             const RowExposure& to, const CameraMotion& motion) {
@@ -79,8 +93,8 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
   }
   // For a point that moves as fast as the readout, the map grows without bounds.
   constexpr double kLargest = 10;
-  if (!(map.norm() < kLargest)) map = identity;
-  return {rotated->pixel_px, map, rotated->pixel_px, map, true, near};
+  if (!(map.norm() < kLargest)) return {rotated->pixel_px, identity, rotated->pixel_px, identity, true, near};
+  return {rotated->pixel_px, {map, bend_of(*rotated, place_px, rays)}, rotated->pixel_px, map, true, near};
 }
 
 }  // namespace
@@ -147,11 +161,11 @@ PredictedPoint predict_point(const Eigen::Vector2d& place_px, const NearbyRays& 
   for (int axis = 0; axis < 2; ++axis) {
     const Eigen::Vector2d step_px = kHalfStepPx * Eigen::Vector2d::Unit(axis),
                           rotated_step_px = kHalfStepPx * predicted.rotated_map.col(axis);
-    predicted.map.col(axis) += (residual(place_px + step_px, predicted.rotated_px + rotated_step_px) -
-                                residual(place_px - step_px, predicted.rotated_px - rotated_step_px)) /
-                               (2 * kHalfStepPx);
+    predicted.map.jacobian.col(axis) += (residual(place_px + step_px, predicted.rotated_px + rotated_step_px) -
+                                         residual(place_px - step_px, predicted.rotated_px - rotated_step_px)) /
+                                        (2 * kHalfStepPx);
   }
-  if (!predicted.map.allFinite()) predicted.map = predicted.rotated_map;
+  if (!predicted.map.jacobian.allFinite()) predicted.map.jacobian = predicted.rotated_map;
   return predicted;
 }
 

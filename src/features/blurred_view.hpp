@@ -9,6 +9,7 @@
 #include <opencv2/core.hpp>
 
 #include "features/blur_alignment.hpp"
+#include "features/local_map.hpp"
 #include "features/nearby_rays.hpp"
 #include "gyro_deblur/camera.hpp"
 #include "gyro_deblur/exposure.hpp"
@@ -52,12 +53,12 @@ class BlurredView {
   std::vector<Residual> residuals_;  // of the blocks; empty: known nowhere
 };
 
-/// Where a point of one image is in the next, and the Jacobian of that.
+/// Where a point of one image is in the next, and its neighbourhood.
 struct PredictedPoint {
   Eigen::Vector2d place_px;
-  Eigen::Matrix2d map;
+  LocalMap map;                    ///< bent by the rotation alone
   Eigen::Vector2d rotated_px;      ///< place by the rotation alone
-  Eigen::Matrix2d rotated_map;     ///< map by the rotation alone
+  Eigen::Matrix2d rotated_map;     ///< Jacobian by the rotation alone
   bool by_residual;                ///< a residual velocity is known in addition to the rotation
   std::optional<NearbyRays> near;  ///< around rotated_px
 };

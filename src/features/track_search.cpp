@@ -68,7 +68,7 @@ cv::Point2f to_cv(const Eigen::Vector2d& p) { return {static_cast<float>(p.x()),
 void TrackState::anchor_at(const std::shared_ptr<const BlurredView>& newest) {
   anchor_covariance_px2 = covariance_px2();
   since_anchor_px2.setZero();
-  anchor_map.setIdentity();
+  anchor_map = {};
   anchor_view = newest;
   anchor = point;
   anchor_age = 0;
@@ -89,12 +89,12 @@ struct TrackSearch::Thread {
     const NearbyRays rays(step.camera, place_px, state.ray);
     candidate->predicted = predict_point(place_px, rays, step.before, step.now, motion);
     if (state.residual_slope_1_s) {
-      candidate->predicted.map = candidate->predicted.rotated_map + step.seconds * *state.residual_slope_1_s;
+      candidate->predicted.map.jacobian = candidate->predicted.rotated_map + step.seconds * *state.residual_slope_1_s;
     }
   }
 
   std::optional<Alignment> find(const BlurredView& from, const BlurredPoint& in_from, const Eigen::Vector2d& start_px,
-                                const Eigen::Matrix2d& map, TrackCandidate* candidate) const {
+                                const LocalMap& map, TrackCandidate* candidate) const {
     // Within this distance paths differ by less than a hundredth of their length.
     constexpr double kSamePathPx = 3;
     if (!((start_px - candidate->near_start.place_px).norm() < kSamePathPx)) {
@@ -109,8 +109,8 @@ struct TrackSearch::Thread {
       options.window_px = half_size_window_px(options.window_px);
       options.max_offset_px /= 2;
       options.min_step_px /= 2;
-      found = aligner.align(from.half_size(), at_half_size(in_from), step.now.half_size(), at_half_size(in_to), map,
-                            options);
+      found = aligner.align(from.half_size(), at_half_size(in_from), step.now.half_size(), at_half_size(in_to),
+                            at_half_size(map), options);
       if (found) *found = at_whole_size(*found);
     } else {
       found = aligner.align(from.luminance(), in_from, step.now.luminance(), in_to, map, options);
@@ -125,8 +125,8 @@ struct TrackSearch::Thread {
   void find(const TrackState& state, const Eigen::Vector2d& start_px, TrackCandidate* candidate) const {
     candidate->by_anchor = false;
     if (state.anchor_age > 0 && is_sharp(state)) {
-      candidate->found =
-          find(*state.anchor_view, state.anchor, start_px, candidate->predicted.map * state.anchor_map, candidate);
+      candidate->found = find(*state.anchor_view, state.anchor, start_px,
+                              combined(candidate->predicted.map, state.anchor_map), candidate);
       candidate->by_anchor = candidate->found && stddev_px(*candidate->found) < kClearPx;
       if (candidate->by_anchor) return;
     }
@@ -135,8 +135,8 @@ struct TrackSearch::Thread {
 
   /// Takes a track to where it was found.
   void advance(TrackState* state, TrackCandidate* candidate) const {
-    const Eigen::Matrix2d& map = candidate->predicted.map;
-    state->anchor_map = map * state->anchor_map;
+    const Eigen::Matrix2d& map = candidate->predicted.map.jacobian;
+    state->anchor_map = combined(candidate->predicted.map, state->anchor_map);
     const Eigen::Matrix2d until_now_px2 = map * state->since_anchor_px2 * map.transpose();
     state->since_anchor_px2 = candidate->found->covariance_px2;
     if (!candidate->by_anchor) state->since_anchor_px2 += until_now_px2;
@@ -260,7 +260,8 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
     TrackCandidate& candidate = (*candidates)[i];
     TrackState& state = (*states)[i];
     PredictedPoint& predicted = candidate.predicted;
-    const std::optional<LocalMotion> local = motions.at(state.point.place_px, predicted.map - predicted.rotated_map);
+    const std::optional<LocalMotion> local =
+        motions.at(state.point.place_px, predicted.map.jacobian - predicted.rotated_map);
     // Where the map stays what it was, the patches do too: this moves the corner of a window by a fifth of a pixel.
     // With half of it errors are 1 % smaller.
     constexpr double kLeastSlope = 0.02;
@@ -268,8 +269,8 @@ void TrackSearch::refine(const TrackStep& step, std::vector<TrackCandidate>* can
     Eigen::Vector2d start_px = predicted.place_px;
     if (local) {
       const Eigen::Matrix2d map = predicted.rotated_map + local->slope;
-      has_changed = (map - predicted.map).norm() > kLeastSlope;
-      predicted.map = map;
+      has_changed = (map - predicted.map.jacobian).norm() > kLeastSlope;
+      predicted.map.jacobian = map;
       start_px = predicted.rotated_px + local->displacement_px;
     }
     if (!candidate.found || has_changed) {

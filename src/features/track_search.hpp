@@ -45,13 +45,13 @@ struct TrackState {
   std::optional<Eigen::Vector2d> unpredicted_px_s;
   /// Jacobian of the velocities around it that the rotation does not explain; nothing at first.
   std::optional<Eigen::Matrix2d> residual_slope_1_s;
-  Eigen::Matrix2d anchor_map = Eigen::Matrix2d::Identity();         ///< from there to the newest image
+  LocalMap anchor_map;                                              ///< from there to the newest image
   Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();  ///< there, against where the track began
   Eigen::Matrix2d since_anchor_px2 = Eigen::Matrix2d::Zero();       ///< in the newest image, against the anchor
 
   /// In the newest image, against where the track began.
   Eigen::Matrix2d covariance_px2() const {
-    return anchor_map * anchor_covariance_px2 * anchor_map.transpose() + since_anchor_px2;
+    return anchor_map.jacobian * anchor_covariance_px2 * anchor_map.jacobian.transpose() + since_anchor_px2;
   }
   /// The newest image becomes that of the older template.
   void anchor_at(const std::shared_ptr<const BlurredView>& newest);

@@ -318,6 +318,84 @@ TEST_F(BlurAlignmentTest, WhatCameBeforeDoesNotMatter) {
   EXPECT_GT(found, 80);
 }
 
+/// A camera that rotates about its vertical axis.
+class Turn {
+ public:
+  static constexpr double kFocalPx = 460;
+  /// What a pixel at no rotation shows, where it is at `angle_rad`.
+  static cv::Matx33d homography(double angle_rad) {
+    const double c = std::cos(angle_rad), s = std::sin(angle_rad), middle = 0.5 * (kSize.width - 1);
+    const cv::Matx33d K(kFocalPx, 0, middle, 0, kFocalPx, middle, 0, 0, 1), R(c, 0, s, 0, 1, 0, -s, 0, c);
+    return K * R * K.inv();
+  }
+  static Eigen::Vector2d moved(const Eigen::Vector2d& at_px, double from_rad, double to_rad) {
+    const cv::Vec3d v = homography(to_rad) * (homography(from_rad).inv() * cv::Vec3d(at_px.x(), at_px.y(), 1));
+    return {v[0] / v[2], v[1] / v[2]};
+  }
+  /// Exposed from middle_rad - half_rad to middle_rad + half_rad.
+  static cv::Mat seen(const cv::Mat& texture, double middle_rad, double half_rad) {
+    constexpr int kInstants = 32;
+    cv::Mat sum(texture.size(), CV_32FC1, cv::Scalar(0)), wide, at;
+    texture.convertTo(wide, CV_32F);
+    for (int k = 0; k < kInstants; ++k) {
+      const double angle_rad = middle_rad + half_rad * ((2 * k + 1.0) / kInstants - 1);
+      cv::warpPerspective(wide, at, homography(angle_rad), texture.size(), cv::INTER_LANCZOS4, cv::BORDER_REFLECT);
+      sum += at / kInstants;
+    }
+    cv::Mat image;
+    sum.convertTo(image, CV_8U);
+    return image;
+  }
+  static Path2d path(const Eigen::Vector2d& at_px, double middle_rad, double half_rad) {
+    Path2d path_px;
+    for (int k = 0; k < kPathInstants; ++k) {
+      const double angle_rad = middle_rad + half_rad * (2.0 * k / (kPathInstants - 1) - 1);
+      path_px[k] = (moved(at_px, middle_rad, angle_rad) - at_px).cast<float>();
+    }
+    return path_px;
+  }
+};
+
+TEST_F(BlurAlignmentTest, PatchesBendWithTheCamerasRotation) {
+  // 6 degrees, and up to 30 px of blur.
+  constexpr double kFromRad = -0.052, kToRad = 0.052;
+  const cv::Mat texture = texture_.seen_by({}, kSize, contrast_);
+  options_.window_px = 41;
+  for (const double half_rad : {0.0, 0.0325}) {
+    const cv::Mat from = Turn::seen(texture, kFromRad, half_rad), to = Turn::seen(texture, kToRad, half_rad);
+    Eigen::Vector2d bent_px = Eigen::Vector2d::Zero(), straight_px = Eigen::Vector2d::Zero();
+    cv::RNG rng(5);
+    int count = 0;
+    for (int i = 0; i < 200; ++i) {
+      const Eigen::Vector2d at_px(rng.uniform(250.0, 510.0), rng.uniform(150.0, 610.0));
+      const auto moved = [&](double x, double y) {
+        return Turn::moved(at_px + Eigen::Vector2d(x, y), kFromRad, kToRad);
+      };
+      const Eigen::Vector2d truth_px = moved(0, 0);
+      Eigen::Matrix2d jacobian;
+      jacobian << 0.5 * (moved(1, 0) - moved(-1, 0)), 0.5 * (moved(0, 1) - moved(0, -1));
+      constexpr double h = 10;
+      LocalMap::Bend bend;
+      bend.col(0) = (moved(h, 0) + moved(-h, 0) - 2 * truth_px) / (2 * h * h);
+      bend.col(2) = (moved(0, h) + moved(0, -h) - 2 * truth_px) / (2 * h * h);
+      bend.col(1) = (moved(h, h) + moved(-h, -h) - 2 * truth_px) / (2 * h * h) - bend.col(0) - bend.col(2);
+      const BlurredPoint in_from{at_px, Turn::path(at_px, kFromRad, half_rad), kRounding},
+          in_to{truth_px, Turn::path(truth_px, kToRad, half_rad), kRounding};
+      const auto with = aligner_.align(from, in_from, to, in_to, {jacobian, bend}, options_),
+                 without = aligner_.align(from, in_from, to, in_to, jacobian, options_);
+      if (!with || !without) continue;
+      bent_px += with->place_px - truth_px;
+      straight_px += without->place_px - truth_px;
+      ++count;
+    }
+    EXPECT_GT(count, 150);
+    EXPECT_GT(straight_px.x() / count, 0.025);
+    // Not all of it: differences over three pixels are smaller than the derivatives of fine texture.
+    EXPECT_LT(std::abs(bent_px.x()), 0.45 * straight_px.x());
+    EXPECT_LT(std::abs(bent_px.y()) / count, 0.005);
+  }
+}
+
 TEST_F(BlurAlignmentTest, FindsNothingWhereThereIsNothingToFind) {
   const cv::Mat texture = exposed(texture_.seen_by(first_, kSize, kContrast), 0, 1);
   const Eigen::Matrix2d map = Eigen::Matrix2d::Identity();

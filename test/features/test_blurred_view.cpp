@@ -140,7 +140,7 @@ TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
   EXPECT_TRUE(predicted.by_residual);
   EXPECT_LT((predicted.place_px - rolled(kPixel, seconds) - seconds * kVelocityPxS).norm(), 1e-3);
   const Eigen::Matrix2d rotation = Eigen::Rotation2Dd(-kRollRadS * seconds).toRotationMatrix();
-  EXPECT_LT((predicted.map - rotation).norm(), 1e-4);
+  EXPECT_LT((predicted.map.jacobian - rotation).norm(), 1e-4);
   EXPECT_LT((predicted.rotated_px - rolled(kPixel, seconds)).norm(), 1e-3);
   EXPECT_LT((predicted.rotated_map - rotation).norm(), 1e-4);
 
@@ -149,7 +149,7 @@ TEST_F(BlurredViewTest, PredictsPlaceAndMap) {
   const PredictedPoint still = predicted_from(BlurredView(image_, exposure(0), nullptr), unknown,
                                               RotationTrack({}, GyroOptions{}, Eigen::Matrix3d::Identity()));
   EXPECT_EQ(still.place_px, kPixel);
-  EXPECT_LT((still.map - Eigen::Matrix2d::Identity()).norm(), 1e-9);
+  EXPECT_LT((still.map.jacobian - Eigen::Matrix2d::Identity()).norm(), 1e-9);
 }
 
 TEST_F(BlurredViewTest, RotatedMapIsTheJacobianOfWhereItTakesPixels) {
@@ -172,6 +172,14 @@ TEST_F(BlurredViewTest, RotatedMapIsTheJacobianOfWhereItTakesPixels) {
                              predicted_pixel(kPixel - step_px, lens, motion, first, second).value();
       }
       EXPECT_LT((predicted.rotated_map - expected).norm(), 2e-4) << readout_ns;
+      if (readout_ns == 0) {
+        const Eigen::Vector2d offset_px(17, -12);
+        const Eigen::Vector3d squares(17 * 17, -17 * 12, 12 * 12);
+        const Eigen::Vector2d not_affine_px = predicted_pixel(kPixel + offset_px, lens, motion, first, second).value() -
+                                              predicted.rotated_px - expected * offset_px;
+        EXPECT_GT(not_affine_px.norm(), 0.004);
+        EXPECT_LT((predicted.map.bend * squares - not_affine_px).norm(), 0.1 * not_affine_px.norm());
+      }
       EXPECT_LT((lens.project(predicted.near->ray(predicted.rotated_px)) - predicted.rotated_px).norm(), 1e-5);
     }
   }
