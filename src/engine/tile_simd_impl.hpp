@@ -140,7 +140,7 @@ void mix_sizes(const float* halves, const float* weights_of_halves, const float*
   }
 }
 
-/// Copies fewer than kLanes elements without a call: most often a multiple of 4.
+/// Copies at most kLanes elements without a call: most often a multiple of 4.
 template <typename T>
 inline void copy_few(const T* from, int count, T* to) {
   int i = 0;

@@ -63,10 +63,12 @@ struct AlignmentSimd {
   /// is written beyond the end of a row is 0.
   void (*differentiate)(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
                         std::ptrdiff_t stride, int width, int height);
-  /// Moves what a patch shows at (u, v), the x-th pixel of the y-th row less (middle_x, middle_y), by b0 u^2 + b2 u v +
-  /// b4 v^2 along x and b1 u^2 + b3 u v + b5 v^2 along y, to first order: takes these times its derivatives from it.
-  void (*bend)(const float* along_x, const float* along_y, std::ptrdiff_t stride, const float* b, float middle_x,
-               float middle_y, float* patch, std::ptrdiff_t patch_stride, int width, int height);
+  /// Moves what a patch shows at (u, v), the x-th pixel of the y-th row less (middle_x, middle_y), by b[0] u^2 + b[2] u
+  /// v
+  /// + b[4] v^2 along x and b[1] u^2 + b[3] u v + b[5] v^2 along y, to first order: takes these times its derivatives
+  /// from it. Reads a pixel on either side. What is written beyond the end of a row is finite.
+  void (*displace)(const float* patch, std::ptrdiff_t patch_stride, const float* b, float middle_x, float middle_y,
+                   float* displaced, std::ptrdiff_t stride, int width, int height);
   /// Sums of p, p t and p^2, where p is `patch` less `offset`. After each row of `other` (t) kPatchRoom
   /// pixels are 0, of the patch finite.
   void (*compare)(const float* patch, std::ptrdiff_t patch_stride, float offset, const float* other,

@@ -295,18 +295,19 @@ void differentiate(const float* patch, std::ptrdiff_t patch_stride, float* along
   }
 }
 
-void bend(const float* along_x, const float* along_y, std::ptrdiff_t stride, const float* b, float middle_x,
-          float middle_y, float* patch, std::ptrdiff_t patch_stride, int width, int height) {
-  static const float kLaneNumbers[kPatchRoom] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  const Vector lanes = load(kLaneNumbers);
+void displace(const float* patch, std::ptrdiff_t patch_stride, const float* b, float middle_x, float middle_y,
+              float* displaced, std::ptrdiff_t stride, int width, int height) {
   for (int x = 0; x < width; x += kLanes) {
-    const Vector u = lanes + (static_cast<float>(x) - middle_x);
+    const Vector u = count_to(static_cast<float>(kLanes - 1)) + (static_cast<float>(x) - middle_x);
     const Vector x_by_uu = b[0] * u * u, x_by_u = b[2] * u, y_by_uu = b[1] * u * u, y_by_u = b[3] * u;
     for (int y = 0; y < height; ++y) {
       const float v = static_cast<float>(y) - middle_y;
       const Vector moved_x = x_by_uu + v * (x_by_u + v * b[4]), moved_y = y_by_uu + v * (y_by_u + v * b[5]);
-      float* pixels = patch + y * patch_stride + x;
-      store(pixels, load(pixels) - load(along_x + y * stride + x) * moved_x - load(along_y + y * stride + x) * moved_y);
+      // Scharr's filters would smooth across: fine texture would move too little.
+      const float* middle = patch + y * patch_stride + x;
+      const Vector across = load(middle + 1) - load(middle - 1),
+                   down = load(middle + patch_stride) - load(middle - patch_stride);
+      store(displaced + y * stride + x, load(middle) - 0.5f * (across * moved_x + down * moved_y));
     }
   }
 }
@@ -412,7 +413,7 @@ const AlignmentSimd kAlignmentSimd = {GYRO_DEBLUR_ISA_NAME,
                                       sort_by_three,
                                       sample,
                                       differentiate,
-                                      bend,
+                                      displace,
                                       compare,
                                       combine,
                                       project,

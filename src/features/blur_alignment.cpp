@@ -114,7 +114,7 @@ BlurredPoint at_half_size(BlurredPoint point) {
 }
 
 LocalMap at_half_size(LocalMap map) {
-  map.bend *= 2;  // half of what offsets twice as long are moved by
+  map.quadratic *= 2;  // half of what offsets twice as long are moved by
   return map;
 }
 
@@ -230,7 +230,7 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
 }
 
 void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
-                                  const LocalMap::Bend& bend) {
+                                  const LocalMap::Quadratic& quadratic) {
   constexpr int kMargin = kTemplateMargin;
   const int width = compared_columns(), height = compared_rows();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
@@ -247,20 +247,22 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
     patch->resize(width, height);
     patch->clear_room();
   }
-  float* middle = sampled_.row(kMargin) + kMargin;
+  const float* middle = sampled_.row(kMargin) + kMargin;
   simd_.differentiate(middle, sampled_.stride(), gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(), width,
                       height);
-  const LocalMap::Bend per_compared = px_per_compared().inverse() * bend_after(bend, px_per_compared());
-  simd_.bend(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.stride(), per_compared.cast<float>().eval().data(),
-             -static_cast<float>(window_.first_x) / static_cast<float>(spacing_[0]),
-             -static_cast<float>(window_.first_y) / static_cast<float>(spacing_[1]), middle, sampled_.stride(), width,
-             height);
+  const Eigen::Matrix<float, 2, 3> per_compared =
+      (px_per_compared().inverse() * quadratic_after(quadratic, px_per_compared())).cast<float>();
+  float* displaced = template_.row(0);
+  simd_.displace(middle, sampled_.stride(), per_compared.data(),
+                 static_cast<float>(-window_.first_x) / static_cast<float>(spacing_[0]),
+                 static_cast<float>(-window_.first_y) / static_cast<float>(spacing_[1]), displaced, template_.stride(),
+                 width, height);
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
-  const float offset = *middle;
+  const float offset = *displaced;
   std::array<float, 3> sums;  // the first is used
-  simd_.compare(middle, sampled_.stride(), offset, middle, sampled_.stride(), width, height, sums.data());
+  simd_.compare(displaced, template_.stride(), offset, displaced, template_.stride(), width, height, sums.data());
   const float mean = sums[0] / static_cast<float>(template_.size());
-  simd_.combine(middle, sampled_.stride(), 1, middle, sampled_.stride(), 0, -offset - mean, template_.row(0),
+  simd_.combine(displaced, template_.stride(), 1, displaced, template_.stride(), 0, -offset - mean, displaced,
                 template_.stride(), width, height);
 }
 
@@ -407,7 +409,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
   constexpr double kLeastDeterminant = 0.1;  // a tenth of the area: nothing that is followed shrinks so
   if (!(map.jacobian.determinant() > kLeastDeterminant)) return std::nullopt;
   const Eigen::Matrix2d inverse_map = map.jacobian.inverse();
-  // Not bent: on average over a window full of texture this leaves the least bias (doc/design/tracks.md).
+  // Paths are mapped to first order: so there is no bias where a window is full of texture (doc/design/tracks.md).
   const Path2d blur_of_second_px = mapped(in_from.path_px, map.jacobian),
                blur_of_first_px = mapped(in_to.path_px, inverse_map);
   if (!can_be_aligned(in_from.place_px, blur_of_first_px, from.size()) ||
@@ -421,7 +423,7 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
     return std::nullopt;
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
-  sample_template(in_from.place_px, inverse_map, bend_after(map.bend, inverse_map));
+  sample_template(in_from.place_px, inverse_map, quadratic_after(map.quadratic, inverse_map));
   const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, blur_of_first_px),
                pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
   const Eigen::Matrix2d gradients = gradients_without_gain(pattern);

@@ -57,7 +57,7 @@ LocalMap at_half_size(LocalMap map);
 /// What was found at half the size, in pixels of the whole.
 Alignment at_whole_size(Alignment found);
 
-/// Whether the two patches differ by no more than noise and what a motion that is not affine makes, at a similar
+/// Whether the two patches differ by no more than noise and what the local map does not explain, at a similar
 /// contrast.
 bool agrees(const Alignment& alignment);
 
@@ -115,8 +115,9 @@ class BlurAligner {
   PixelBox template_box(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map) const;
   PixelBox search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
-  /// @param bend  of the map, by offsets in the second image
-  void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map, const LocalMap::Bend& bend);
+  /// @param quadratic  of the map, by offsets in the second image
+  void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
+                       const LocalMap::Quadratic& quadratic);
   /// Sum of the squares of template_ without those of its noise, which bias a gain by them towards 0.
   double pattern_energy(double noise_variance);
   /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.

@@ -36,7 +36,7 @@ std::vector<BlurredView::Residual> smoothed_residuals(const FrameBlur& field) {
   return residuals;
 }
 
-constexpr double kHalfStepPx = 7;  // as far as the compared patch reaches in most directions
+constexpr double kHalfStepPx = 7;  // within what is compared
 
 /// Jacobian of where the rotation takes a point, if other rows are exposed at other times. Not finite where the
 /// rotation of neighbouring rows is not known.
@@ -59,17 +59,18 @@ Eigen::Matrix2d with_row_times(const Eigen::Matrix2d& map, const Eigen::Vector3d
 }
 
 /// By the rotation between the instants at which the two images show the point.
-LocalMap::Bend bend_of(const RotatedPixel& rotated, const Eigen::Vector2d& place_px, const NearbyRays& rays) {
-  constexpr double h = 10;  // half of how far the compared patch reaches
+LocalMap::Quadratic quadratic_by_rotation(const RotatedPixel& rotated, const Eigen::Vector2d& place_px,
+                                          const NearbyRays& rays) {
+  constexpr double h = 10;  // compared patches reach 10 to 25 px
   const auto away_px = [&](double x, double y) -> Eigen::Vector2d {
     const Eigen::Vector3d ray = rays.ray(place_px + Eigen::Vector2d(x, y));
     return rays.camera().project(rotated.rotation * ray) - rotated.pixel_px;
   };
-  LocalMap::Bend bend;
-  bend.col(0) = (away_px(h, 0) + away_px(-h, 0)) / (2 * h * h);
-  bend.col(2) = (away_px(0, h) + away_px(0, -h)) / (2 * h * h);
-  bend.col(1) = (away_px(h, h) + away_px(-h, -h)) / (2 * h * h) - bend.col(0) - bend.col(2);
-  return bend.allFinite() ? bend : LocalMap::Bend::Zero();
+  LocalMap::Quadratic quadratic;
+  quadratic.col(0) = (away_px(h, 0) + away_px(-h, 0)) / (2 * h * h);
+  quadratic.col(2) = (away_px(0, h) + away_px(0, -h)) / (2 * h * h);
+  quadratic.col(1) = (away_px(h, h) + away_px(-h, -h)) / (2 * h * h) - quadratic.col(0) - quadratic.col(2);
+  return quadratic.allFinite() ? quadratic : LocalMap::Quadratic::Zero();
 }
 
 /// Where a point is by the rotation alone, and the Jacobian of that; where it was if the rotation is not known.
@@ -94,7 +95,8 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
   // For a point that moves as fast as the readout, the map grows without bounds.
   constexpr double kLargest = 10;
   if (!(map.norm() < kLargest)) return {rotated->pixel_px, identity, rotated->pixel_px, identity, true, near};
-  return {rotated->pixel_px, {map, bend_of(*rotated, place_px, rays)}, rotated->pixel_px, map, true, near};
+  return {
+      rotated->pixel_px, {map, quadratic_by_rotation(*rotated, place_px, rays)}, rotated->pixel_px, map, true, near};
 }
 
 }  // namespace

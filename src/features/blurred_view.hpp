@@ -56,7 +56,7 @@ class BlurredView {
 /// Where a point of one image is in the next, and its neighbourhood.
 struct PredictedPoint {
   Eigen::Vector2d place_px;
-  LocalMap map;                    ///< bent by the rotation alone
+  LocalMap map;                    ///< its second order is that of the rotation alone
   Eigen::Vector2d rotated_px;      ///< place by the rotation alone
   Eigen::Matrix2d rotated_map;     ///< Jacobian by the rotation alone
   bool by_residual;                ///< a residual velocity is known in addition to the rotation

@@ -242,23 +242,24 @@ TEST_P(AlignmentSimdTest, DifferentiateAnyWidth) {
   }
 }
 
-TEST_P(AlignmentSimdTest, BendAnyWidth) {
+TEST_P(AlignmentSimdTest, DisplaceAnyWidth) {
   const std::array<float, 6> b{0.01f, -0.02f, 0.03f, 0.015f, -0.005f, 0.025f};
   constexpr float kMiddleX = 7.5f, kMiddleY = 2;
   for (int width = 1; width <= 70; ++width) {
-    const int height = 5, stride = width + kPatchRoom, patch_stride = stride + 3;
-    const std::vector<float> along_x = random_patch(width, height, true), along_y = random_patch(width, height, true);
-    const std::vector<float> before = random_patch(width + 3, height, false);
-    std::vector<float> bent = before;
-    simd_->bend(along_x.data(), along_y.data(), stride, b.data(), kMiddleX, kMiddleY, bent.data(), patch_stride, width,
-                height);
+    const int height = 5, stride = width + kPatchRoom, patch_stride = width + 2 + kPatchRoom;
+    const std::vector<float> patch = random_patch(width + 2, height + 2, false);
+    std::vector<float> displaced = random_patch(width, height, false);
+    const auto at = [&](int x, int y) { return patch[static_cast<std::size_t>((y + 1) * patch_stride + x + 1)]; };
+    simd_->displace(patch.data() + patch_stride + 1, patch_stride, b.data(), kMiddleX, kMiddleY, displaced.data(),
+                    stride, width, height);
     for (int y = 0; y < height; ++y) {
-      for (int x = 0; x < width + 3; ++x) {
+      for (int x = 0; x < width; ++x) {
         const double u = x - kMiddleX, v = y - kMiddleY;
-        const auto i = static_cast<std::size_t>(y * stride + x), k = static_cast<std::size_t>(y * patch_stride + x);
         const double moved_x = b[0] * u * u + b[2] * u * v + b[4] * v * v,
                      moved_y = b[1] * u * u + b[3] * u * v + b[5] * v * v;
-        ASSERT_NEAR(bent[k], before[k] - along_x[i] * moved_x - along_y[i] * moved_y, 2e-4) << width << ": " << x;
+        const double expected =
+            at(x, y) - 0.5 * (at(x + 1, y) - at(x - 1, y)) * moved_x - 0.5 * (at(x, y + 1) - at(x, y - 1)) * moved_y;
+        ASSERT_NEAR(displaced[static_cast<std::size_t>(y * stride + x)], expected, 2e-4) << width << ": " << x;
       }
     }
   }

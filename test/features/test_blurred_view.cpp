@@ -178,7 +178,7 @@ TEST_F(BlurredViewTest, RotatedMapIsTheJacobianOfWhereItTakesPixels) {
         const Eigen::Vector2d not_affine_px = predicted_pixel(kPixel + offset_px, lens, motion, first, second).value() -
                                               predicted.rotated_px - expected * offset_px;
         EXPECT_GT(not_affine_px.norm(), 0.004);
-        EXPECT_LT((predicted.map.bend * squares - not_affine_px).norm(), 0.1 * not_affine_px.norm());
+        EXPECT_LT((predicted.map.quadratic * squares - not_affine_px).norm(), 0.1 * not_affine_px.norm());
       }
       EXPECT_LT((lens.project(predicted.near->ray(predicted.rotated_px)) - predicted.rotated_px).norm(), 1e-5);
     }

@@ -285,6 +285,19 @@ TEST(FilterBank, GivesTheNearestQuarterPixel) {
   EXPECT_EQ(bank.kernel(kMaxKernelExtentPx).taps, wiener_kernel(kMaxKernelExtentPx, {}).taps);
 }
 
+TEST(FilterBank, HasAKernelForEachRatio) {
+  const FilterBank bank({});
+  const int most = bank.max_doublings();
+  for (const double extent_px : {10.0, kMaxKernelExtentPx}) {
+    for (const int doublings : {0, 1, most, most + 1}) {
+      const LineKernel expected = wiener_kernel(extent_px, with_doubled_ratio({}, doublings));
+      for (int time = 0; time < 2; ++time)
+        EXPECT_EQ(bank.kernel(extent_px, doublings).taps, expected.taps) << doublings;
+    }
+    EXPECT_NE(bank.kernel(extent_px, 1).taps, bank.kernel(extent_px).taps);
+  }
+}
+
 TEST(FilterBank, SharesKernelsAmongThreads) {
   const FilterBank bank({});
   std::vector<const LineKernel*> seen(8 * 40);

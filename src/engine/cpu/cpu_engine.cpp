@@ -29,9 +29,10 @@ void for_each_part(int begin, int end, int longest, const Work& work) {
 
 /// Has the processor load what a plan reads of a kernel first. A bank has more kernels than a cache holds.
 void prefetch_kernel(const LineKernel& kernel) {
-  constexpr int kLines = 4;  // it foresees the ones behind
-  const float* middle = kernel.taps.data() + kernel.radius();
-  for (int i = 0; i < kLines; ++i) __builtin_prefetch(middle + i * kAlignFloats);
+  constexpr int kLines = 4;  // the processor itself loads those behind
+  const auto middle = static_cast<std::size_t>(kernel.radius());
+  const std::size_t end = std::min(kernel.taps.size(), middle + kLines * kAlignFloats);
+  for (std::size_t i = middle; i < end; i += kAlignFloats) __builtin_prefetch(kernel.taps.data() + i);
 }
 
 }  // namespace
