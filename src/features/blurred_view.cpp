@@ -58,18 +58,32 @@ Eigen::Matrix2d with_row_times(const Eigen::Matrix2d& map, const Eigen::Vector3d
   return left.inverse() * right;
 }
 
-/// By the rotation between the instants at which the two images show the point.
-LocalMap::Quadratic quadratic_by_rotation(const RotatedPixel& rotated, const Eigen::Vector2d& place_px,
-                                          const NearbyRays& rays) {
-  constexpr double h = 10;  // compared patches reach 10 to 25 px
+/// Second order of where a camera sees a direction, rotated by R_seen_ray, by what is added to its x and y.
+/// @param step  > 0: of x and y
+LocalMap::Quadratic quadratic_of_projection(const Camera& camera, const Eigen::Matrix3d& R_seen_ray,
+                                            const Eigen::Vector3d& ray, const Eigen::Vector2d& pixel_px, double step) {
   const auto away_px = [&](double x, double y) -> Eigen::Vector2d {
-    const Eigen::Vector3d ray = rays.ray(place_px + Eigen::Vector2d(x, y));
-    return rays.camera().project(rotated.rotation * ray) - rotated.pixel_px;
+    return camera.project(R_seen_ray * (ray + step * Eigen::Vector3d(x, y, 0))) - pixel_px;
   };
   LocalMap::Quadratic quadratic;
-  quadratic.col(0) = (away_px(h, 0) + away_px(-h, 0)) / (2 * h * h);
-  quadratic.col(2) = (away_px(0, h) + away_px(0, -h)) / (2 * h * h);
-  quadratic.col(1) = (away_px(h, h) + away_px(-h, -h)) / (2 * h * h) - quadratic.col(0) - quadratic.col(2);
+  quadratic.col(0) = away_px(1, 0) + away_px(-1, 0);
+  quadratic.col(2) = away_px(0, 1) + away_px(0, -1);
+  quadratic.col(1) = away_px(1, 1) + away_px(-1, -1) - quadratic.col(0) - quadratic.col(2);
+  return quadratic / (2 * step * step);
+}
+
+/// By the rotation between the instants at which the two images show the point.
+/// @param ray  of the place, z = 1
+/// @param map  its Jacobian
+LocalMap::Quadratic quadratic_by_rotation(const RotatedPixel& rotated, const Eigen::Vector2d& place_px,
+                                          const Eigen::Vector3d& ray, const NearbyRays& rays,
+                                          const Eigen::Matrix2d& map) {
+  constexpr double kReachPx = 10;  // compared patches reach 10 to 25 px
+  const double step = kReachPx / rays.px_per_ray().col(0).norm();
+  const Camera& camera = rays.camera();
+  const LocalMap::Quadratic now = quadratic_of_projection(camera, Eigen::Matrix3d::Identity(), ray, place_px, step),
+                            then = quadratic_of_projection(camera, rotated.rotation, ray, rotated.pixel_px, step);
+  const LocalMap::Quadratic quadratic = quadratic_after(then - map * now, rays.ray_per_px());
   return quadratic.allFinite() ? quadratic : LocalMap::Quadratic::Zero();
 }
 
@@ -87,6 +101,7 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
   const Eigen::Matrix2d ray_then_per_px =
       (direction_per_px.topRows<2>() - ray_then.head<2>() * direction_per_px.row(2)) / direction.z();
   Eigen::Matrix2d map = near.px_per_ray() * ray_then_per_px;
+  const LocalMap::Quadratic quadratic = quadratic_by_rotation(*rotated, place_px, ray, rays, map);
   if (from.row_time_ns() != 0 || to.row_time_ns() != 0) {
     const Eigen::Matrix2d by_rows =
         with_row_times(map, ray, camera, motion, from, place_px.y(), to, rotated->pixel_px.y());
@@ -95,8 +110,7 @@ PredictedPoint rotate_point(const Eigen::Vector2d& place_px, const NearbyRays& r
   // For a point that moves as fast as the readout, the map grows without bounds.
   constexpr double kLargest = 10;
   if (!(map.norm() < kLargest)) return {rotated->pixel_px, identity, rotated->pixel_px, identity, true, near};
-  return {
-      rotated->pixel_px, {map, quadratic_by_rotation(*rotated, place_px, rays)}, rotated->pixel_px, map, true, near};
+  return {rotated->pixel_px, {map, quadratic}, rotated->pixel_px, map, true, near};
 }
 
 }  // namespace
