@@ -63,10 +63,10 @@ struct AlignmentSimd {
   /// is written beyond the end of a row is 0.
   void (*differentiate)(const float* patch, std::ptrdiff_t patch_stride, float* along_x, float* along_y,
                         std::ptrdiff_t stride, int width, int height);
-  /// Moves what a patch shows at (u, v), the x-th pixel of the y-th row less (middle_x, middle_y), by b[0] u^2 + b[2] u
-  /// v
-  /// + b[4] v^2 along x and b[1] u^2 + b[3] u v + b[5] v^2 along y, to first order: takes these times its derivatives
-  /// from it. Reads a pixel on either side. What is written beyond the end of a row is finite.
+  /// Moves what a patch shows at (u, v), which is (x, y) less the middle, along x by the sum of b[0], b[2] and b[4]
+  /// times u^2, u v and v^2, and along y by that of b[1], b[3] and b[5] times these. To first order: they are
+  /// multiplied by the derivatives and taken off. Reads a pixel on either side. What is written beyond the end of a row
+  /// is finite.
   void (*displace)(const float* patch, std::ptrdiff_t patch_stride, const float* b, float middle_x, float middle_y,
                    float* displaced, std::ptrdiff_t stride, int width, int height);
   /// Sums of p, p t and p^2, where p is `patch` less `offset`. After each row of `other` (t) kPatchRoom

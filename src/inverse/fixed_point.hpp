@@ -1,13 +1,9 @@
 // Weights as whole numbers.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 
 namespace gyro_deblur {
-
-/// std::lround, which is a call; and without a branch, as weights change their sign too often to be foreseen.
-inline std::int32_t round_to_int(double x) { return static_cast<std::int32_t>(x + std::copysign(0.5, x)); }
 
 /// Rounds value + error, |value + error| < 2^31 and halves to even, and sets `error` to what is left of it. Each error
 /// waits for the one before: two additions round in less time than conversions to an integer and back.

@@ -42,7 +42,8 @@ void fix_coarse_weights(TwoScaleTaps& taps) {
     wanted += before + after;
   }
   const double middle = weights[0] * unit;
-  fixed[0] = round_to_int(middle + (error_before + error_after));
+  error_before += error_after;
+  fixed[0] = round_with_error(middle, error_before);
   wanted += middle;
   filter.coarse_sum = std::accumulate(taps.fixed.begin(), taps.fixed.end(), 0);
   // What is left of the sum decides the brightness.
