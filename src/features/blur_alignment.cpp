@@ -103,6 +103,15 @@ double interpolated_share(const Eigen::Vector2d& place_px, const Path2d& blurred
   return share;
 }
 
+/// Of a template, without that of its noise, which biases a gain by it towards 0.
+/// @param energy  sum of the squares of the template
+/// @param noise   what noise has of it
+double pattern_energy(double energy, double noise) {
+  // Where noise is nearly all of it, its own scatter would decide.
+  constexpr double kLeastShare = 0.1;
+  return std::max(kLeastShare * energy, energy - noise);
+}
+
 }  // namespace
 
 BlurredPoint at_half_size(BlurredPoint point) {
@@ -229,8 +238,8 @@ bool BlurAligner::crop_window(const cv::Size& from, const Eigen::Vector2d& from_
   return false;
 }
 
-void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
-                                  const LocalMap::Quadratic& quadratic) {
+double BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
+                                    const LocalMap::Quadratic& quadratic) {
   constexpr int kMargin = kTemplateMargin;
   const int width = compared_columns(), height = compared_rows();
   sampled_.resize(width + 2 * kMargin, height + 2 * kMargin);
@@ -259,11 +268,12 @@ void BlurAligner::sample_template(const Eigen::Vector2d& place_px, const Eigen::
                  width, height);
   // From a pixel of its own: squares of grey levels would leave few digits for the contrast.
   const float offset = *displaced;
-  std::array<float, 3> sums;  // the first is used
+  std::array<float, 3> sums;
   simd_.compare(displaced, template_.stride(), offset, displaced, template_.stride(), width, height, sums.data());
   const float mean = sums[0] / static_cast<float>(template_.size());
   simd_.combine(displaced, template_.stride(), 1, displaced, template_.stride(), 0, -offset - mean, displaced,
                 template_.stride(), width, height);
+  return std::max(0.0, static_cast<double>(sums[2]) - static_cast<double>(mean) * sums[0]);
 }
 
 void BlurAligner::sort_columns() {
@@ -296,16 +306,6 @@ void BlurAligner::sample_patch(const Eigen::Vector2d& place_px) {
                  patch_.stride(), width, height);
 }
 
-double BlurAligner::pattern_energy(double noise_variance) {
-  // Where noise is nearly all of it, its own scatter would decide.
-  constexpr double kLeastShare = 0.1;
-  std::array<float, 3> sums;
-  simd_.compare(template_.row(0), template_.stride(), 0, template_.row(0), template_.stride(), template_.width(),
-                template_.height(), sums.data());
-  const double energy = sums[2];
-  return std::max(kLeastShare * energy, energy - noise_variance * template_.size());
-}
-
 Eigen::Matrix2d BlurAligner::gradients_without_gain(double pattern) {
   const int width = template_.width(), height = template_.height(), stride = template_.stride();
   std::array<float, 3> sums;
@@ -317,11 +317,24 @@ Eigen::Matrix2d BlurAligner::gradients_without_gain(double pattern) {
                 share = pattern > 0 ? sums[1] / static_cast<float>(pattern) : 0;
     simd_.combine(pixels, stride, 1, template_.row(0), stride, -share, -mean, pixels, stride, width, height);
   }
-  simd_.multiply_gradients(gradient_x_.row(0), gradient_y_.row(0), gradient_x_.row(0), gradient_y_.row(0), stride,
-                           width, height, sums.data());
-  Eigen::Matrix2d gradients;
-  gradients << sums[0], sums[1] / 2, sums[1] / 2, sums[2];
-  return gradients;
+  products_.clear();
+  return gradient_products(0, 0);
+}
+
+Eigen::Matrix2d BlurAligner::gradient_products(int away_x, int away_y) {
+  // Paths of successive images are nearly the same, and so are their lags.
+  for (const GradientProducts& known : products_) {
+    if (known.away_x == away_x && known.away_y == away_y) return known.sums;
+  }
+  const int left = std::max(0, -away_x), right = std::max(0, away_x);
+  std::array<float, 3> sums;
+  simd_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(away_y) + right,
+                           gradient_y_.row(away_y) + right, gradient_x_.stride(),
+                           gradient_x_.width() - std::abs(away_x), gradient_x_.height() - away_y, sums.data());
+  GradientProducts products{away_x, away_y, {}};
+  products.sums << sums[0], 0.5 * sums[1], 0.5 * sums[1], sums[2];
+  products_.push_back(products);
+  return products.sums;
 }
 
 double BlurAligner::residual(double gain) {
@@ -388,17 +401,9 @@ BlurAligner::NoiseShare BlurAligner::noise_share(const Path2d& path_px) {
   find_noise_lags(path_px, spacing_, &lags_);
   for (const NoiseLag& lag : lags_) {
     if (lag.y >= height || std::abs(lag.x) >= width) continue;
-    const int rows = height - lag.y, cols = width - std::abs(lag.x), left = std::max(0, -lag.x),
-              right = std::max(0, lag.x);
-    std::array<float, 3> sums;
-    simd_.multiply_gradients(gradient_x_.row(0) + left, gradient_y_.row(0) + left, gradient_x_.row(lag.y) + right,
-                             gradient_y_.row(lag.y) + right, gradient_x_.stride(), cols, rows, sums.data());
-    share.products(0, 0) += lag.correlation * sums[0];
-    share.products(0, 1) += lag.correlation * 0.5 * sums[1];
-    share.products(1, 1) += lag.correlation * sums[2];
-    share.mean += lag.correlation * rows * cols;
+    share.products += lag.correlation * gradient_products(lag.x, lag.y);
+    share.mean += lag.correlation * (width - std::abs(lag.x)) * (height - lag.y);
   }
-  share.products(1, 0) = share.products(0, 1);
   share.mean /= std::pow(width * height, 2);
   return share;
 }
@@ -423,9 +428,9 @@ std::optional<Alignment> BlurAligner::align(const cv::Mat& from, const BlurredPo
     return std::nullopt;
   }
   blur(from, psf_of_first_, template_box(in_from.place_px, inverse_map), &first_);
-  sample_template(in_from.place_px, inverse_map, quadratic_after(map.quadratic, inverse_map));
-  const double template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, blur_of_first_px),
-               pattern = pattern_energy(std::pow(in_from.noise, 2) * template_noise);
+  const double energy = sample_template(in_from.place_px, inverse_map, quadratic_after(map.quadratic, inverse_map)),
+               template_noise = psf_of_first_.energy * interpolated_share(in_from.place_px, blur_of_first_px),
+               pattern = pattern_energy(energy, std::pow(in_from.noise, 2) * template_noise * template_.size());
   const Eigen::Matrix2d gradients = gradients_without_gain(pattern);
   const Eigen::Matrix2d per_px = px_per_compared().inverse();
   if (!(least_eigenvalue(per_px * gradients * per_px) > kLeastInformation * template_.size())) return std::nullopt;

@@ -116,13 +116,14 @@ class BlurAligner {
   PixelBox search_box(const Eigen::Vector2d& place_px, int margin_px) const;
   /// Makes template_, gradient_x_ and gradient_y_.
   /// @param quadratic  of the map, by offsets in the second image
-  void sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
-                       const LocalMap::Quadratic& quadratic);
-  /// Sum of the squares of template_ without those of its noise, which bias a gain by them towards 0.
-  double pattern_energy(double noise_variance);
+  /// @return sum of the squares of template_
+  double sample_template(const Eigen::Vector2d& place_px, const Eigen::Matrix2d& inverse_map,
+                         const LocalMap::Quadratic& quadratic);
   /// Takes out of the gradients what gain and offset can explain: these are fitted with the place, not after it.
   /// @return sums of the products of what is left of them, for steps between compared pixels
   Eigen::Matrix2d gradients_without_gain(double pattern);
+  /// Sums of the products of the gradients with those of the pixels `away_y` >= 0 rows and `away_x` columns on.
+  Eigen::Matrix2d gradient_products(int away_x, int away_y);
   /// Root mean square of what template_ and patch_ differ by.
   double residual(double gain);
   /// Searches from *place_px; on success patch_ is what the second image shows there, with a margin for derivatives.
@@ -149,6 +150,11 @@ class BlurAligner {
   std::vector<int> offsets_;         // of a PSF's pairs
   std::vector<std::int32_t> weights_;
   std::vector<NoiseLag> lags_;
+  struct GradientProducts {
+    int away_x, away_y;
+    Eigen::Matrix2d sums;
+  };
+  std::vector<GradientProducts> products_;  // of gradient_x_ and gradient_y_, as far as they have been asked for
   const AlignmentSimd& simd_ = select_for_cpu<AlignmentSimd>();
 };
 
