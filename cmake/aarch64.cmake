@@ -1,5 +1,5 @@
-# Toolchain of scripts/arm64.sh: 64-bit ARM, against Debian's packages unpacked in GYRO_DEBLUR_SYSROOT. Tests run in
-# qemu-user, as the processor that the environment variable QEMU_CPU names.
+# Toolchain of scripts/arm64_common.sh: 64-bit ARM, against Debian's packages unpacked in GYRO_DEBLUR_SYSROOT. Tests run
+# in qemu-user, as the processor that the environment variable QEMU_CPU names.
 set(CMAKE_SYSTEM_NAME Linux)
 set(CMAKE_SYSTEM_PROCESSOR aarch64)
 set(CMAKE_TRY_COMPILE_PLATFORM_VARIABLES GYRO_DEBLUR_SYSROOT)

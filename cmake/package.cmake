@@ -31,6 +31,13 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 # A package of its own links the installed libraries among themselves.
 set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${CATKIN_DEVEL_PREFIX}/${CATKIN_PACKAGE_LIB_DESTINATION}
   ${PROJECT_BINARY_DIR}/src)
+if(CMAKE_CROSSCOMPILING)
+  # scripts/package.sh --arm64. By default the package would be for the processor of this machine.
+  set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE arm64)
+  foreach(folder lib usr/lib)
+    list(APPEND CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${CMAKE_SYSROOT}/${folder}/aarch64-linux-gnu)
+  endforeach()
+endif()
 # For the report scripts, for who links the library, and for OpenCL's engine.
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "imagemagick, libeigen3-dev, libopencv-dev, opencl-icd, python3-matplotlib, \
 python3-numpy, python3-opencv, python3-tqdm")

@@ -11,6 +11,8 @@
 set -euo pipefail
 # shellcheck source=scripts/common.sh
 source "$(dirname "${BASH_SOURCE[0]}")/common.sh"
+# shellcheck source=scripts/arm64_common.sh
+source "${GYRO_DEBLUR_ROOT}/scripts/arm64_common.sh"
 cd "${GYRO_DEBLUR_ROOT}"
 
 cpus=()
@@ -33,50 +35,19 @@ while (($# > 0)); do
 done
 ((${#cpus[@]} > 0)) || cpus=(cortex-a72 cortex-a76)
 readonly STEPS=4
-readonly FOLDER="${GYRO_DEBLUR_BUILD}/arm64"
-readonly SYSROOT="${FOLDER}/sysroot"
+readonly FOLDER="${ARM64_FOLDER}"
+readonly SYSROOT="${ARM64_SYSROOT}"
 readonly PROGRAMS="${FOLDER}/build/devel/lib/gyro_deblur"
 readonly NOT_EMULATED=test/not_emulated_tests.txt
 # The slowest program takes a quarter of this on a free core.
 readonly TEST_LIMIT_S=7200
 
 step ${STEPS} "Packages"
-# The release of the compiler on this machine, whose C++ library the sysroot must have.
-release="$(sed -n 's/^VERSION_CODENAME=//p' /etc/os-release)"
-grep -q '^ID=debian$' /etc/os-release || fail "this is no Debian, whose arm64 packages are needed"
 # Those of the build here too: their Python programs generate the messages.
 scripts/install_dependencies.sh build arm64
 
 step ${STEPS} "Sysroot"
-mkdir -p "${FOLDER}"
-# For catkin, which looks for packages below its source space.
-touch "${FOLDER}/CATKIN_IGNORE"
-# One run at a time in this folder.
-exec 9> "${FOLDER}/.lock"
-flock 9
-packages="$(scripts/install_dependencies.sh --list build | paste -s -d ,)"
-stamp="${SYSROOT}.packages"
-if [[ "$(cat "${stamp}" 2> /dev/null)" == "${release} ${packages}" ]]; then
-  say "${SYSROOT} has the packages"
-else
-  rm -rf "${SYSROOT}" "${stamp}"
-  mkdir -p "${SYSROOT}"
-  # Unpacked and not installed: no program of theirs runs. The archive passes through a pipe so that the files belong to
-  # the caller in each mode of mmdebstrap's.
-  mmdebstrap --variant=extract --architectures=arm64 --include="${packages}" --format=tar "${release}" - \
-    2> "${FOLDER}/sysroot.log" | tar -x -C "${SYSROOT}" --exclude='./dev/*' ||
-    { cat "${FOLDER}/sysroot.log" >&2; fail "mmdebstrap failed; its output is above"; }
-  # An absolute link would lead to this machine's files.
-  while IFS=$'\t' read -r link target; do
-    ln -sfnr "${SYSROOT}${target}" "${SYSROOT}/${link}"
-  done < <(find "${SYSROOT}" -type l -lname '/*' -printf '%P\t%l\n')
-  # What update-alternatives would do: OpenCV needs both.
-  for library in blas lapack; do
-    ln -sfn "${library}/lib${library}.so.3" "${SYSROOT}/usr/lib/aarch64-linux-gnu/lib${library}.so.3"
-  done
-  printf '%s\n' "${release} ${packages}" > "${stamp}"
-  say "${SYSROOT}: $(du -sh "${SYSROOT}" | cut -f 1)"
-fi
+make_arm64_sysroot
 
 step ${STEPS} "Build"
 source_system_ros
@@ -84,11 +55,7 @@ launcher=()
 if command -v ccache > /dev/null; then
   launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
 fi
-# The environment may name folders of this machine's packages.
-env -u CMAKE_PREFIX_PATH cmake -S . -B "${FOLDER}/build" "${launcher[@]}" \
-  -DCMAKE_TOOLCHAIN_FILE="${GYRO_DEBLUR_ROOT}/cmake/aarch64.cmake" -DGYRO_DEBLUR_SYSROOT="${SYSROOT}" \
-  -DGYRO_DEBLUR_ROS=ON -DGYRO_DEBLUR_EXPERIMENTS=OFF -DGYRO_DEBLUR_FAST_BUILD=ON \
-  -DPYTHON_EXECUTABLE=/usr/bin/python3 -DPython3_EXECUTABLE=/usr/bin/python3 > "${FOLDER}/configure.log" 2>&1 ||
+configure_for_arm64 "${FOLDER}/build" "${launcher[@]}" -DGYRO_DEBLUR_FAST_BUILD=ON > "${FOLDER}/configure.log" 2>&1 ||
   { cat "${FOLDER}/configure.log" >&2; fail "cmake failed; the output is above"; }
 show_cmake_warnings "${FOLDER}/configure.log"
 mapfile -t programs < <(cmake --build "${FOLDER}/build" --target help | sed -n 's/^\.\.\. \(test_[a-z0-9_]*\)$/\1/p')
