@@ -23,7 +23,7 @@ double stddev_px(const Alignment& found) { return std::sqrt(found.covariance_px2
 
 /// Errors that are not noise: patches that no local map takes to each other, and inexact paths.
 double model_variance_px2(const Path2d& first_px, const Path2d& second_px) {
-  constexpr double kFloorPx = 0.065, kShareOfExtent = 0.005;  // fits, see doc/reports/tracks.md
+  constexpr double kFloorPx = 0.065, kShareOfExtent = 0.004;  // fits, see doc/reports/tracks.md
   const double extent_px = std::hypot(extent_of(first_px).norm(), extent_of(second_px).norm());
   return std::pow(kFloorPx, 2) + std::pow(kShareOfExtent * extent_px, 2);
 }
