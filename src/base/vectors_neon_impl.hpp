@@ -52,10 +52,9 @@ inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights
   return add_pairs(acc, from, 1, weights);
 }
 
-#if defined(__ARM_FEATURE_DOTPROD)
 #define GYRO_DEBLUR_HAS_BYTE_PRODUCTS
 using Bytes = uint8x16_t;
-constexpr int kByteOffset = 128;  // SDOT takes signed bytes
+constexpr int kByteOffset = 128;  // products are of signed bytes
 inline Bytes load_bytes(const std::uint8_t* from) { return vld1q_u8(from); }
 inline Bytes side_by_side(int begin) {
   const IntVector counting = {0, 1, 2, 3};
@@ -63,9 +62,15 @@ inline Bytes side_by_side(int begin) {
 }
 inline IntVector add_byte_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
   const uint8x16x2_t both = {{first, second}};
-  return (IntVector)vdotq_s32((int32x4_t)acc, (int8x16_t)vqtbl2q_u8(both, order), (int8x16_t)vdupq_n_s32(weights));
-}
+  const int8x16_t pixels = (int8x16_t)vqtbl2q_u8(both, order), each = (int8x16_t)vdupq_n_s32(weights);
+#if defined(__ARM_FEATURE_DOTPROD)
+  return (IntVector)vdotq_s32((int32x4_t)acc, pixels, each);
+#else
+  // The sum of two products has 16 bits: no weight is -128.
+  const int16x8_t lower = vmull_s8(vget_low_s8(pixels), vget_low_s8(each)), upper = vmull_high_s8(pixels, each);
+  return (IntVector)vpadalq_s16((int32x4_t)acc, vpaddq_s16(lower, upper));
 #endif
+}
 
 inline Vector pick(const float* window, IntVector index) {
   const std::uint8_t* bytes = (const std::uint8_t*)window;

@@ -82,9 +82,9 @@ void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
     for (int t = 0; t < filter.count; ++t) {
       const PairTap& tap = filter.taps[t];
       const Pair* from = pairs + at + tap.m * layout.width + tap.n;
-      for (int row = 0; row < kExactRows; ++row) {
+      for (int row = 0; row < kExactRows; ++row, from += layout.width) {
         for (int v = 0; v < kVectors; ++v) {
-          acc[row][v] = add_pairs(acc[row][v], from + row * layout.width + v * kLanes, tap.weights);
+          acc[row][v] = add_pairs(acc[row][v], from + v * kLanes, tap.weights);
         }
       }
     }
