@@ -48,66 +48,59 @@ inline void for_each_strip(int width, Body&& body) {
   }
 }
 
-/// Two rows at a time: independent sums hide the latency of each.
-template <int kVectors>
-inline void convolve_pair_strip(const Pair* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
-                                const std::int32_t* weights, int taps, float scale, float* written,
-                                std::ptrdiff_t stride, int height) {
-  for (int y = 0; y < height; y += 2) {
-    const int second = y + 1 < height ? y + 1 : y;
-    const Pair *upper = pairs + y * pair_stride, *lower = pairs + second * pair_stride;
-    IntVector above[kVectors] = {}, below[kVectors] = {};
-    for (int k = 0; k < taps; ++k) {
-      const std::int32_t weight = weights[k];
-      const int offset = offsets[k];
-      for (int i = 0; i < kVectors; ++i) {
-        above[i] = add_pairs(above[i], upper + offset + i * kLanes, next, weight);
-        below[i] = add_pairs(below[i], lower + offset + i * kLanes, next, weight);
-      }
-    }
-    for (int i = 0; i < kVectors; ++i) {
-      store(written + y * stride + i * kLanes, scale * __builtin_convertvector(above[i], Vector));
-      store(written + second * stride + i * kLanes, scale * __builtin_convertvector(below[i], Vector));
-    }
-  }
+/// Calls body(rows, y) for some rows, whose number is a constant, from row y on: independent sums hide the latency of
+/// each. Short vectors have registers left for four rows, which share the offsets.
+template <typename Body>
+inline void for_each_rows(int height, Body&& body) {
+  constexpr bool kFour = kRegisters == 32 && kLanes == 4;
+  int y = 0;
+  for (; kFour && y + 4 <= height; y += 4) body(std::integral_constant<int, 4>(), y);
+  for (; y + 2 <= height; y += 2) body(std::integral_constant<int, 2>(), y);
+  if (y < height) body(std::integral_constant<int, 1>(), y);
 }
 
 void convolve_pairs(const void* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_t next, const int* offsets,
                     const std::int32_t* weights, int taps, float scale, float* written, std::ptrdiff_t stride,
                     int width, int height) {
   for_each_strip(width, [&](auto vectors, int x) {
-    convolve_pair_strip<vectors()>(static_cast<const Pair*>(pairs) + x, pair_stride, next, offsets, weights, taps,
-                                   scale, written + x, stride, height);
-  });
-}
-
-/// Two rows at a time: independent sums hide the latency of each.
-template <int kVectors>
-inline void convolve_strip(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares,
-                           int taps, float* written, std::ptrdiff_t stride, int height) {
-  for (int y = 0; y < height; y += 2) {
-    const int second = y + 1 < height ? y + 1 : y;
-    const float *upper = read + y * read_stride, *lower = read + second * read_stride;
-    Vector above[kVectors] = {}, below[kVectors] = {};
-    for (int k = 0; k < taps; ++k) {
-      const float share = shares[k];
-      const int offset = offsets[k];
-      for (int i = 0; i < kVectors; ++i) {
-        above[i] += share * load(upper + offset + i * kLanes);
-        below[i] += share * load(lower + offset + i * kLanes);
+    for_each_rows(height, [&](auto rows, int y) {
+      const Pair* first = static_cast<const Pair*>(pairs) + x + y * pair_stride;
+      IntVector sums[rows()][vectors()] = {};
+      for (int k = 0; k < taps; ++k) {
+        const Pair* from = first + offsets[k];
+        for (int row = 0; row < rows(); ++row, from += pair_stride) {
+          for (int i = 0; i < vectors(); ++i) {
+            sums[row][i] = add_pairs(sums[row][i], from + i * kLanes, next, weights[k]);
+          }
+        }
       }
-    }
-    for (int i = 0; i < kVectors; ++i) {
-      store(written + y * stride + i * kLanes, above[i]);
-      store(written + second * stride + i * kLanes, below[i]);
-    }
-  }
+      float* to = written + x + y * stride;
+      for (int row = 0; row < rows(); ++row, to += stride) {
+        for (int i = 0; i < vectors(); ++i) {
+          store(to + i * kLanes, scale * __builtin_convertvector(sums[row][i], Vector));
+        }
+      }
+    });
+  });
 }
 
 void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets, const float* shares, int taps,
               float* written, std::ptrdiff_t stride, int width, int height) {
   for_each_strip(width, [&](auto vectors, int x) {
-    convolve_strip<vectors()>(read + x, read_stride, offsets, shares, taps, written + x, stride, height);
+    for_each_rows(height, [&](auto rows, int y) {
+      const float* first = read + x + y * read_stride;
+      Vector sums[rows()][vectors()] = {};
+      for (int k = 0; k < taps; ++k) {
+        const float* from = first + offsets[k];
+        for (int row = 0; row < rows(); ++row, from += read_stride) {
+          for (int i = 0; i < vectors(); ++i) sums[row][i] += shares[k] * load(from + i * kLanes);
+        }
+      }
+      float* to = written + x + y * stride;
+      for (int row = 0; row < rows(); ++row, to += stride) {
+        for (int i = 0; i < vectors(); ++i) store(to + i * kLanes, sums[row][i]);
+      }
+    });
   });
 }
 
