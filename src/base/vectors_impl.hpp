@@ -6,8 +6,8 @@
 //
 // Bodies call operations and know no architecture. vectors_generic_impl.hpp says what each does; those of an
 // architecture give the same bits, except for reciprocal(). What some sets alone have is announced by
-// GYRO_DEBLUR_HAS_BYTE_PRODUCTS and GYRO_DEBLUR_HAS_WORD_VECTORS, and described in vectors_x86_impl.hpp: a body has
-// another algorithm without.
+// GYRO_DEBLUR_HAS_BYTE_PRODUCTS and GYRO_DEBLUR_HAS_WORD_VECTORS, described in vectors_x86_impl.hpp, and by
+// GYRO_DEBLUR_HAS_BYTE_PAIRS, in vectors_neon_impl.hpp: a body has another algorithm without.
 #pragma once
 
 #if defined(__SSE2__)

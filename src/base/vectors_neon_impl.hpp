@@ -1,4 +1,4 @@
-// The operations of vectors_generic_impl.hpp on 64-bit ARM, with NEON and SDOT (see vectors_impl.hpp).
+// The operations of vectors_generic_impl.hpp on 64-bit ARM, with NEON and, where there is, SDOT (see vectors_impl.hpp).
 #pragma once
 
 #include <arm_neon.h>
@@ -52,9 +52,10 @@ inline IntVector add_pairs(IntVector acc, const Pair* from, std::int32_t weights
   return add_pairs(acc, from, 1, weights);
 }
 
+constexpr int kByteOffset = 128;  // products are of signed bytes
+#if defined(__ARM_FEATURE_DOTPROD)
 #define GYRO_DEBLUR_HAS_BYTE_PRODUCTS
 using Bytes = uint8x16_t;
-constexpr int kByteOffset = 128;  // products are of signed bytes
 inline Bytes load_bytes(const std::uint8_t* from) { return vld1q_u8(from); }
 inline Bytes side_by_side(int begin) {
   const IntVector counting = {0, 1, 2, 3};
@@ -62,15 +63,28 @@ inline Bytes side_by_side(int begin) {
 }
 inline IntVector add_byte_products(IntVector acc, Bytes first, Bytes second, Bytes order, std::int32_t weights) {
   const uint8x16x2_t both = {{first, second}};
-  const int8x16_t pixels = (int8x16_t)vqtbl2q_u8(both, order), each = (int8x16_t)vdupq_n_s32(weights);
-#if defined(__ARM_FEATURE_DOTPROD)
-  return (IntVector)vdotq_s32((int32x4_t)acc, pixels, each);
-#else
-  // The sum of two products has 16 bits: no weight is -128.
-  const int16x8_t lower = vmull_s8(vget_low_s8(pixels), vget_low_s8(each)), upper = vmull_high_s8(pixels, each);
-  return (IntVector)vpadalq_s16((int32x4_t)acc, vpaddq_s16(lower, upper));
-#endif
+  return (IntVector)vdotq_s32((int32x4_t)acc, (int8x16_t)vqtbl2q_u8(both, order), (int8x16_t)vdupq_n_s32(weights));
 }
+#else
+#define GYRO_DEBLUR_HAS_BYTE_PAIRS
+/// Adds to each lane of up to four vectors its byte and the next, less kByteOffset each, times the low and the high
+/// half of `weights`, which are bytes but not -128: two products have 16 bits. Reads 17 bytes.
+template <int kVectors>
+inline void add_byte_pairs(IntVector (&acc)[kVectors], const std::uint8_t* from, std::int32_t weights) {
+  const int8x16_t low = vdupq_n_s8(static_cast<std::int8_t>(weights)),
+                  high = vdupq_n_s8(static_cast<std::int8_t>(weights >> 16));
+  const int8x16_t first = (int8x16_t)vld1q_u8(from), second = (int8x16_t)vld1q_u8(from + 1);
+  const int16x8_t left =
+      vmlal_s8(vmull_s8(vget_low_s8(first), vget_low_s8(low)), vget_low_s8(second), vget_low_s8(high));
+  acc[0] = (IntVector)vaddw_s16((int32x4_t)acc[0], vget_low_s16(left));
+  if constexpr (kVectors > 1) acc[1] = (IntVector)vaddw_high_s16((int32x4_t)acc[1], left);
+  if constexpr (kVectors > 2) {
+    const int16x8_t right = vmlal_high_s8(vmull_high_s8(first, low), second, high);
+    acc[2] = (IntVector)vaddw_s16((int32x4_t)acc[2], vget_low_s16(right));
+    if constexpr (kVectors > 3) acc[3] = (IntVector)vaddw_high_s16((int32x4_t)acc[3], right);
+  }
+}
+#endif
 
 inline Vector pick(const float* window, IntVector index) {
   const std::uint8_t* bytes = (const std::uint8_t*)window;

@@ -48,13 +48,14 @@ inline void for_each_strip(int width, Body&& body) {
   }
 }
 
-/// Calls body(rows, y) for some rows, whose number is a constant, from row y on: independent sums hide the latency of
-/// each. Short vectors have registers left for four rows, which share the offsets.
+/// Calls body(rows, y) for 1, 2 or 4 rows, a constant, from row y on: independent sums hide the latency of each. Four
+/// share the offsets; vectors of 16 floats gain nothing by them.
 template <typename Body>
 inline void for_each_rows(int height, Body&& body) {
-  constexpr bool kFour = kRegisters == 32 && kLanes == 4;
   int y = 0;
-  for (; kFour && y + 4 <= height; y += 4) body(std::integral_constant<int, 4>(), y);
+  if constexpr (kRegisters == 32 && kLanes == 4) {
+    for (; y + 4 <= height; y += 4) body(std::integral_constant<int, 4>(), y);
+  }
   for (; y + 2 <= height; y += 2) body(std::integral_constant<int, 2>(), y);
   if (y < height) body(std::integral_constant<int, 1>(), y);
 }
@@ -64,19 +65,20 @@ void convolve_pairs(const void* pairs, std::ptrdiff_t pair_stride, std::ptrdiff_
                     int width, int height) {
   for_each_strip(width, [&](auto vectors, int x) {
     for_each_rows(height, [&](auto rows, int y) {
+      constexpr int kRows = decltype(rows)::value, kVectors = decltype(vectors)::value;
       const Pair* first = static_cast<const Pair*>(pairs) + x + y * pair_stride;
-      IntVector sums[rows()][vectors()] = {};
+      IntVector sums[kRows][kVectors] = {};
       for (int k = 0; k < taps; ++k) {
         const Pair* from = first + offsets[k];
-        for (int row = 0; row < rows(); ++row, from += pair_stride) {
-          for (int i = 0; i < vectors(); ++i) {
+        for (int row = 0; row < kRows; ++row, from += pair_stride) {
+          for (int i = 0; i < kVectors; ++i) {
             sums[row][i] = add_pairs(sums[row][i], from + i * kLanes, next, weights[k]);
           }
         }
       }
       float* to = written + x + y * stride;
-      for (int row = 0; row < rows(); ++row, to += stride) {
-        for (int i = 0; i < vectors(); ++i) {
+      for (int row = 0; row < kRows; ++row, to += stride) {
+        for (int i = 0; i < kVectors; ++i) {
           store(to + i * kLanes, scale * __builtin_convertvector(sums[row][i], Vector));
         }
       }
@@ -88,17 +90,18 @@ void convolve(const float* read, std::ptrdiff_t read_stride, const int* offsets,
               float* written, std::ptrdiff_t stride, int width, int height) {
   for_each_strip(width, [&](auto vectors, int x) {
     for_each_rows(height, [&](auto rows, int y) {
+      constexpr int kRows = decltype(rows)::value, kVectors = decltype(vectors)::value;
       const float* first = read + x + y * read_stride;
-      Vector sums[rows()][vectors()] = {};
+      Vector sums[kRows][kVectors] = {};
       for (int k = 0; k < taps; ++k) {
         const float* from = first + offsets[k];
-        for (int row = 0; row < rows(); ++row, from += read_stride) {
-          for (int i = 0; i < vectors(); ++i) sums[row][i] += shares[k] * load(from + i * kLanes);
+        for (int row = 0; row < kRows; ++row, from += read_stride) {
+          for (int i = 0; i < kVectors; ++i) sums[row][i] += shares[k] * load(from + i * kLanes);
         }
       }
       float* to = written + x + y * stride;
-      for (int row = 0; row < rows(); ++row, to += stride) {
-        for (int i = 0; i < vectors(); ++i) store(to + i * kLanes, sums[row][i]);
+      for (int row = 0; row < kRows; ++row, to += stride) {
+        for (int i = 0; i < kVectors; ++i) store(to + i * kLanes, sums[row][i]);
       }
     });
   });

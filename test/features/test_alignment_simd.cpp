@@ -42,7 +42,7 @@ TEST_P(AlignmentSimdTest, ConvolveAnyWidth) {
   const std::array<int, 3> columns{0, 2, 3}, rows{0, 1, 2};
   const std::array<float, 3> shares{0.5f, -0.25f, 0.75f};
   for (int width = 1; width <= 110; ++width) {
-    const int height = 1 + width % 4, read_stride = width + 3 + kPatchRoom, stride = width + kPatchRoom;
+    const int height = 1 + width % 9, read_stride = width + 3 + kPatchRoom, stride = width + kPatchRoom;
     const std::vector<float> read = random_patch(width + 3, height + 2, false);
     std::vector<float> written(static_cast<std::size_t>(stride * height));
     std::array<int, 3> offsets;
@@ -159,7 +159,7 @@ TEST_P(AlignmentSimdTest, ConvolvePairsOfAnyWidth) {
   constexpr float kScale = 1.0f / 65536;
   for (int width = 1; width <= 110; ++width) {
     for (const bool is_below : {false, true}) {
-      const int height = 1 + width % 4, read_width = width + 3 + (is_below ? 0 : 1),
+      const int height = 1 + width % 9, read_width = width + 3 + (is_below ? 0 : 1),
                 read_height = height + 2 + (is_below ? 1 : 0), byte_stride = read_width + 5,
                 pair_stride = read_width + kPatchRoom, stride = width + kPatchRoom;
       // Of exactly the image's size: nothing is read behind it.

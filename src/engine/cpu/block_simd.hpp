@@ -47,7 +47,7 @@ constexpr int kTileStride = (kMaxTileSide + 31) / 32 * 32;
 struct BlockSimd {
   const char* name;
   int lanes;              ///< floats in a vector
-  bool has_byte_weights;  ///< takes ExactFilter::weights_are_bytes, twice as fast and coarser
+  bool has_byte_weights;  ///< takes ExactFilter::weights_are_bytes, faster and coarser
   TileNeeds (*exact_needs)(const TileGeometry&, const ExactFilter&);
   void (*exact_u8)(const SourcePlane<std::uint8_t>&, const TileGeometry&, const ExactFilter&, float* scratch,
                    std::uint8_t* tile);

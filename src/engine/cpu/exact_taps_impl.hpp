@@ -9,7 +9,11 @@ namespace {
 
 // Outputs that are summed together: enough independent sums to hide the latency of a multiply-add.
 constexpr int kExactRows = kRegisters == 32 ? 4 : 2;
+#if defined(GYRO_DEBLUR_HAS_BYTE_PAIRS)
+constexpr int kExactVectors = 4;  // lanes of a vector of bytes
+#else
 constexpr int kExactVectors = kRegisters == 32 ? 3 : 2;
+#endif
 
 struct ExactLayout {
   int rows, width, first_m, first_n;
@@ -40,7 +44,7 @@ inline void store_exact_outputs(const TileGeometry& tile, const ExactFilter& fil
 template <typename Sum>
 inline void for_exact_outputs(const TileGeometry& tile, const ExactFilter& filter, std::uint8_t* out, int stride,
                               Sum sum) {
-  static_assert(kExactVectors == 2 || kExactVectors == 3, "");
+  static_assert(kExactVectors >= 2 && kExactVectors <= 4, "");
   for (int m = 0; m < tile.m_count; m += kExactRows) {
     int n = 0;
     for (; n + (kExactVectors - 1) * kLanes < tile.n_count; n += kExactVectors * kLanes) {
@@ -94,9 +98,35 @@ void exact_pairs_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   });
 }
 
-#if defined(GYRO_DEBLUR_HAS_BYTE_PRODUCTS)
+#if defined(GYRO_DEBLUR_HAS_BYTE_PRODUCTS) || defined(GYRO_DEBLUR_HAS_BYTE_PAIRS)
 
 constexpr bool kHasByteWeights = true;
+
+/// Columns of a neighbourhood, and the stride with space for a vector that begins in the last one.
+inline int byte_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
+inline int byte_stride(const ExactLayout& layout) { return byte_columns(layout) + 64; }
+
+/// The neighbourhood, pixels less kByteOffset.
+inline void copy_bytes(const SourcePlane<std::uint8_t>& source, const ExactLayout& layout, std::uint8_t* bytes) {
+  const int columns = byte_columns(layout), stride = byte_stride(layout);
+  copy_extended(source, layout, columns, bytes, stride);
+  for (int r = 0; kByteOffset != 0 && r < layout.rows; ++r) {
+    for (int i = 0; i < columns; ++i) bytes[r * stride + i] ^= kByteOffset;
+  }
+}
+
+/// What kByteOffset of all pixels has of a sum.
+inline std::int32_t sum_of_offset(const ExactFilter& filter) {
+  std::int32_t sum = 0;
+  for (int t = 0; t < filter.count; ++t) {
+    sum += kByteOffset * (static_cast<std::int16_t>(filter.taps[t].weights) + (filter.taps[t].weights >> 16));
+  }
+  return sum;
+}
+
+#endif
+
+#if defined(GYRO_DEBLUR_HAS_BYTE_PRODUCTS)
 
 // Two steps of the line at once: bytes (m, n), (m, n + 1) of one and (m', n'), (m', n' + 1) of the next are put side by
 // side for kLanes outputs by one permutation, and multiplied by one dot product with weights in bytes.
@@ -105,44 +135,28 @@ struct Quad {
   std::int32_t weights;  // a byte each
 };
 
-/// Columns of a neighbourhood, and the stride with space for a vector that begins in the last one.
-inline int quad_columns(const ExactLayout& layout) { return round_up(layout.width, kCacheLineBytes); }
-inline int quad_stride(const ExactLayout& layout) { return quad_columns(layout) + 64; }
-
 inline std::int32_t pack_bytes(std::int32_t a, std::int32_t b, std::int32_t c, std::int32_t d) {
   return (a & 0xff) | (b & 0xff) << 8 | (c & 0xff) << 16 | static_cast<std::int32_t>((d & 0xffu) << 24);
 }
 
-void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+void exact_bytes_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
                     float* scratch, std::uint8_t* out) {
   const ExactLayout layout(tile, filter);
-  const int stride = quad_stride(layout);
+  const int stride = byte_stride(layout);
   std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
-  copy_extended(source, layout, quad_columns(layout), bytes, stride);
-  if (kByteOffset != 0) {
-    for (int r = 0; r < layout.rows; ++r) {
-      for (int i = 0; i < quad_columns(layout); ++i) bytes[r * stride + i] ^= kByteOffset;
-    }
-  }
+  copy_bytes(source, layout, bytes);
 
   Quad* list = reinterpret_cast<Quad*>(bytes + layout.rows * stride);
   int count = 0;
-  std::int32_t of_offset = 0;
-  const auto low_half = [](std::int32_t weights) {
-    return static_cast<std::int32_t>(static_cast<std::uint32_t>(weights) << 16) >> 16;
-  };
   for (int t = 0; t < filter.count; t += 2) {
     const PairTap& lower = filter.taps[t];
-    std::int32_t w[4] = {low_half(lower.weights), lower.weights >> 16, 0, 0};
-    Quad quad{lower.m * stride + lower.n, lower.m * stride + lower.n, 0};
+    const int at = lower.m * stride + lower.n;
+    Quad quad{at, at, pack_bytes(lower.weights, lower.weights >> 16, 0, 0)};
     if (t + 1 < filter.count) {
       const PairTap& upper = filter.taps[t + 1];
       quad.upper = upper.m * stride + upper.n;
-      w[2] = low_half(upper.weights);
-      w[3] = upper.weights >> 16;
+      quad.weights |= pack_bytes(0, 0, upper.weights, upper.weights >> 16);
     }
-    quad.weights = pack_bytes(w[0], w[1], w[2], w[3]);
-    of_offset += kByteOffset * (w[0] + w[1] + w[2] + w[3]);
     list[count++] = quad;
   }
 
@@ -150,6 +164,7 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   Bytes order[kExactVectors];
   for (int v = 0; v < kExactVectors; ++v) order[v] = side_by_side(v * kLanes);
 
+  const std::int32_t of_offset = sum_of_offset(filter);
   for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
     constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
     IntVector acc[kExactRows][kVectors];  // local, so that it stays in registers
@@ -171,16 +186,42 @@ void exact_quads_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry&
   });
 }
 
+#elif defined(GYRO_DEBLUR_HAS_BYTE_PAIRS)
+
+void exact_bytes_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
+                    float* scratch, std::uint8_t* out) {
+  const ExactLayout layout(tile, filter);
+  const int stride = byte_stride(layout);
+  std::uint8_t* bytes = reinterpret_cast<std::uint8_t*>(scratch);
+  copy_bytes(source, layout, bytes);
+  const std::int32_t of_offset = sum_of_offset(filter);
+  for_exact_outputs(tile, filter, out, stride, [&](int at, auto& sums) {
+    constexpr int kVectors = sizeof sums[0] / sizeof(IntVector);
+    IntVector acc[kExactRows][kVectors];  // local, so that it stays in registers
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) acc[row][v] = IntVector{} + of_offset;
+    }
+    for (int t = 0; t < filter.count; ++t) {
+      const PairTap& tap = filter.taps[t];
+      const std::uint8_t* from = bytes + at + tap.m * stride + tap.n;
+      for (int row = 0; row < kExactRows; ++row, from += stride) add_byte_pairs(acc[row], from, tap.weights);
+    }
+    for (int row = 0; row < kExactRows; ++row) {
+      for (int v = 0; v < kVectors; ++v) sums[row][v] = acc[row][v];
+    }
+  });
+}
+
 #else
 
 constexpr bool kHasByteWeights = false;
-constexpr auto exact_quads_u8 = exact_pairs_u8;
+constexpr auto exact_bytes_u8 = exact_pairs_u8;
 
 #endif
 
 void exact_u8(const SourcePlane<std::uint8_t>& source, const TileGeometry& tile, const ExactFilter& filter,
               float* scratch, std::uint8_t* out) {
-  (filter.weights_are_bytes ? exact_quads_u8 : exact_pairs_u8)(source, tile, filter, scratch, out);
+  (filter.weights_are_bytes ? exact_bytes_u8 : exact_pairs_u8)(source, tile, filter, scratch, out);
 }
 
 }  // namespace
