@@ -97,7 +97,7 @@ inline void pause() {
 #if defined(__x86_64__) || defined(__i386__)
   __builtin_ia32_pause();
 #elif defined(__aarch64__)
-  asm volatile("yield");
+  asm volatile("isb");  // yield does nothing on most of them
 #endif
 }
 
@@ -277,12 +277,13 @@ class Helpers {
     lock.lock();
     --awake_;
     slot.has_helper = false;
-    // A helper that no loop came for is not wanted until another session begins.
+    // A helper that no loop came for is not wanted until another session begins. Where too many left because fewer are
+    // wanted, the last of them come back.
     if (session == session_number_) wanted_awake_ = std::min<int>(wanted_awake_, awake_);
   }
 
   /// Until all sessions have ended, or no loop came for kLongestWait, or fewer helpers are wanted.
-  /// @return the number of the newest session
+  /// @return the number of the newest session; 0 where fewer are wanted
   int help_while_awake(Slot& slot) {
     constexpr int kPausesBetweenLooks = 50;
     auto last = Clock::now();
@@ -305,8 +306,8 @@ class Helpers {
         session = newest;
         last = Clock::now();
       }
-      const bool is_wanted = sessions_ > 0 && awake_ <= wanted_awake_ && Clock::now() - last <= kLongestWait;
-      if (!is_wanted && slot.leave()) return session;
+      const bool idle = sessions_ == 0 || Clock::now() - last > kLongestWait;
+      if ((idle || awake_ > wanted_awake_) && slot.leave()) return idle ? session : 0;
     }
   }
 
