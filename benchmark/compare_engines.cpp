@@ -351,6 +351,14 @@ std::string field_of(const char* path, const std::string& key) {
   return "unknown";
 }
 
+std::string processor_name() {
+  std::string name = field_of("/proc/cpuinfo", "model name");
+  // Linux on 64-bit ARM has no name of the processor, but one of the board.
+  std::ifstream board("/proc/device-tree/model");
+  if (name == "unknown") std::getline(board, name, '\0');
+  return name.empty() ? "unknown" : name;
+}
+
 /// Share [0, 1] of all processors' time that others use, over a second of idling here.
 double load_of_others() {
   const auto read = [] {
@@ -378,7 +386,7 @@ void run(Arguments arguments) {
   }
   const FilterBank bank(FilterOptions{});
   nlohmann::json result;
-  result["machine"] = {{"processor", field_of("/proc/cpuinfo", "model name")},
+  result["machine"] = {{"processor", processor_name()},
                        {"processors", std::thread::hardware_concurrency()},
                        {"compiler", __VERSION__},
                        {"clock", arguments.processor_time ? "processor" : "wall"},

@@ -116,8 +116,8 @@ std::unique_ptr<Engine> make_engine(const std::string& name, int threads) {
 
 std::vector<std::string> available_engines() {
   std::vector<std::string> names;
-  for (const char* name : {"cpu-avx512", "cpu-avx2", "cpu-baseline", "opencl", "float", "float-avx512", "float-avx2",
-                           "filter2d", "filter2d-float"}) {
+  for (const char* name : {"cpu-avx512", "cpu-avx2", "cpu-dotprod", "cpu-baseline", "opencl", "float", "float-avx512",
+                           "float-avx2", "filter2d", "filter2d-float"}) {
     const auto engine = make_engine(name, 1);
     // Without a device the cpu engine takes OpenCL's place.
     const bool is_replaced = std::string(name) == "opencl" && engine && engine->name().find("opencl") != 0;

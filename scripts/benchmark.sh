@@ -50,7 +50,8 @@ suite_arguments=(--benchmark_min_time=0.2)
 if "${quick}"; then
   compare_arguments=(--rounds 7 --sizes 1920x1080 --threads 2)
   fidelity_arguments=(--angle-step 15 --uniform-images 1 --extents 5 15 30 60 90 130)
-  suite_arguments=(--benchmark_min_time=0.05 '--benchmark_filter=blur_field|validation|orb|frame|(cpu|float)/1920')
+  suite_arguments=(--benchmark_min_time=0.05
+    '--benchmark_filter=blur_field|validation|orb|frame|(cpu-[a-z0-9]*|float)/1920')
 fi
 
 step ${STEPS} "Engines, alternating"
