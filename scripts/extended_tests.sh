@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Extended tests, in build/extended_tests: every test of the package itself, nodelets included, under AddressSanitizer
 # and UndefinedBehaviorSanitizer, those of what works with threads and the fault table under ThreadSanitizer, the fuzz
-# targets for a minute each, the soak for ten minutes of simulated time, and the long tests (label long). Fails when one
-# of them finds something, or a test hangs. --quick, as in continuous integration: the tests of
-# test/sanitized_tests.txt without UndefinedBehaviorSanitizer's checks of pointers, no fault table, fuzzers for 10 s
-# each, 20 reloads of the nodelet, the soak for a minute, no long tests.
+# targets for a minute each, the soak for ten minutes of simulated time, the long tests (label long), and the C++ tests
+# on 64-bit ARM in emulation (scripts/arm64.sh, four hours). Fails when one of them finds something, or a test hangs.
+# --quick, as in continuous integration: the tests of test/sanitized_tests.txt without UndefinedBehaviorSanitizer's
+# checks of pointers, no fault table, fuzzers for 10 s each, 20 reloads of the nodelet, the soak for a minute, no long
+# tests, no ARM.
 #
-#   scripts/extended_tests.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long]...
+#   scripts/extended_tests.sh [--quick] [--within MINUTES] [--only asan|tsan|fuzz|soak|long|arm64]...
 #
 #   --within MINUTES  after that time a build is broken off and no test or fuzzer begun; the status is 77 then, unless
 #                     something has failed. The next run goes on where this ended.
@@ -34,7 +35,7 @@ while (($# > 0)); do
       shift
       ;;
     --only)
-      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak|long)$ ]] || fail "--only takes asan, tsan, fuzz, soak or long"
+      [[ "${2:-}" =~ ^(asan|tsan|fuzz|soak|long|arm64)$ ]] || fail "--only takes asan, tsan, fuzz, soak, long or arm64"
       only+=("$2")
       shift
       ;;
@@ -44,7 +45,7 @@ while (($# > 0)); do
 done
 if ((${#only[@]} == 0)); then
   only=(asan tsan fuzz soak)
-  "${quick}" || only+=(long)
+  "${quick}" || only+=(long arm64)
 fi
 wanted() { [[ " ${only[*]} " == *" $1 "* ]]; }
 readonly STEPS=$((1 + ${#only[@]}))
@@ -299,4 +300,10 @@ if wanted long; then
   step ${STEPS} "Long tests"
   scripts/build.sh
   (source_devel_space && cd "${GYRO_DEBLUR_BUILD}" && ctest --output-on-failure --no-tests=error --parallel "$(nproc)" -L '^long$')
+fi
+
+if wanted arm64; then
+  step ${STEPS} "64-bit ARM, in emulation"
+  end_when_out_of_time
+  scripts/arm64.sh
 fi
