@@ -43,6 +43,7 @@ void cell_means(const cv::Mat& luminance, cv::Mat& cells) {
   for (int row = 0; row < cells.rows; ++row) {
     const std::uint8_t *a = luminance.ptr(row * kCellPx), *b = luminance.ptr(row * kCellPx + 2),
                        *c = luminance.ptr(row * kCellPx + 4), *d = luminance.ptr(row * kCellPx + 6);
+#pragma omp simd
     for (int x = 0; x < width; ++x) sums[x] = static_cast<std::uint16_t>(a[x] + b[x] + c[x] + d[x]);
     std::uint8_t* to = cells.ptr(row);
     for (int col = 0; col < cells.cols; ++col) {
