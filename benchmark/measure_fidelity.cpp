@@ -198,7 +198,7 @@ nlohmann::json measure_seams(const Arguments& arguments, const std::vector<cv::M
   return records;
 }
 
-void run(const Arguments& arguments) {
+void run(Arguments arguments) {
   if (arguments.engines.empty()) arguments.engines = {available_engines().front()};
   for (const std::string& name : arguments.engines) {
     if (!make_engine(name, 1)) throw std::runtime_error("engine " + name + " cannot run here");
