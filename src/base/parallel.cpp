@@ -97,7 +97,7 @@ inline void pause() {
 #if defined(__x86_64__) || defined(__i386__)
   __builtin_ia32_pause();
 #elif defined(__aarch64__)
-  asm volatile("isb");  // yield does nothing on most of them
+  asm volatile("isb");  // yield does nothing on most Cortex-A
 #endif
 }
 
